@@ -1,25 +1,22 @@
 """Who offers which component: records, discovery of plugins, look-up by kind and name.
 
-What a component does belongs in a plugin, and how a registry is printed belongs in `tracker.cli`.
+What a component does belongs in a plugin, and how a registry is printed belongs in ``tracker.cli``.
 Nothing is imported from a component's package until it is loaded or made, so that listing every
 component of every plugin costs milliseconds.
 """
 
 from __future__ import annotations
 
-import ast
 import difflib
+import functools
 import html
 import importlib
-import inspect
 import os
 import re
 import shlex
-import sys
 import threading
 import time
 import traceback
-import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -30,9 +27,10 @@ import pluggy
 
 from tracker import hookspecs
 from tracker.errors import ConfigError, PluginError, TrackerError, UnknownComponent, wording
+from tracker.parameters import Parameter, declared_parameters, parameters_of
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+    from importlib.metadata import Distribution, EntryPoint
 
 __all__ = [
     "KINDS",
@@ -118,7 +116,7 @@ def _strings(value: Iterable[str]) -> tuple[str, ...]:
     if isinstance(value, str):
         raise PluginError(
             wording(
-                "field of a component",
+                "several strings",
                 got=f"the string {value!r}",
                 expected="a tuple of strings",
                 do=f"write ({value!r},)",
@@ -157,10 +155,10 @@ _RUN_TIME = Origin("added at run time")
 class Component:
     """One component that a plugin offers: what it is, where it comes from, where its code lives.
 
-    `target` is "package.module:attribute", imported when the component is first loaded; `paper` is
-    the number of one of the project's papers or a citation; `equations` says where in it.
-    `requires` names modules beyond the base dependencies, each with what to `pip install` for it.
-    `origin` is filled in by the registry.
+    ``target`` is "package.module:attribute", imported when the component is first loaded; ``paper`` is
+    the number of one of the project's papers or a citation; ``equations`` says where in it.
+    ``requires`` names modules beyond the base dependencies, each with what to ``pip install`` for it.
+    ``origin`` is filled in by the registry.
 
     Raises:
         PluginError: a field is malformed (unknown kind, a name not in lower_case, ...).
@@ -204,14 +202,14 @@ class Component:
         return f"{self.kind} {self.name!r}"
 
     def missing(self) -> tuple[tuple[str, str], ...]:
-        """Those of `requires` that cannot be imported here."""
+        """Those of ``requires`` that cannot be imported here."""
         return tuple(one for one in self.requires if not _importable(one[0]))
 
     def load(self) -> Any:
         """Import the target and return it, uncalled.
 
         Raises:
-            PluginError: something in `requires` is not installed, or the target does not import.
+            PluginError: something in ``requires`` is not installed, or the target does not import.
         """
         missing = self.missing()
         if missing:
@@ -224,13 +222,13 @@ class Component:
             found: Any = importlib.import_module(module)
             for attribute in path.split("."):
                 found = getattr(found, attribute)
-        except (ImportError, AttributeError) as error:
+        except Exception as error:  # importing runs arbitrary code of a stranger
             raise PluginError(
                 wording(
                     f"{self} of {self.origin}",
                     got=f"{type(error).__name__}: {error}",
                     expected=f"{self.target!r} to be importable",
-                    do=f"repair or reinstall {self.origin.distribution}",
+                    do="repair the plugin, or correct the target where it is registered",
                 )
             ) from error
         return found
@@ -239,7 +237,7 @@ class Component:
         """Import the target and call it with the parameters.
 
         Raises:
-            PluginError: as `load`, or the target cannot be called.
+            PluginError: as ``load``, or the target cannot be called.
             ConfigError: a parameter is unknown or missing; values are checked by the target.
 
         Example:
@@ -261,7 +259,7 @@ class Component:
         return target(**parameters)
 
     def _check_parameters(self, target: Callable[..., object], given: Mapping[str, object]) -> None:
-        declared = _declared(target)
+        declared = declared_parameters(target)
         if declared is None:
             return
         accepted = [p.name for p in declared if p.kind is not p.VAR_KEYWORD]
@@ -282,7 +280,9 @@ class Component:
                 wording(
                     str(self),
                     got=got,
-                    expected=f"parameters among {_listed(accepted)}",
+                    expected=f"parameters among {_listed(accepted)}"
+                    if accepted
+                    else "no parameters",
                     do=f"see 'tracker show {self.name}'",
                 )
             )
@@ -295,19 +295,9 @@ def _importable(module: str) -> bool:
         return False
 
 
-def _declared(target: Callable[..., object]) -> list[inspect.Parameter] | None:
-    """Return the parameters that keywords can reach; None where Python cannot tell (built-ins)."""
-    try:
-        parameters = inspect.signature(target).parameters.values()
-    except (TypeError, ValueError):
-        return None
-    out_of_reach = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL)
-    return [p for p in parameters if p.kind not in out_of_reach]
-
-
 @attrs.frozen(kw_only=True)
 class PluginReport:
-    """What became of one plugin in discovery; `tracker doctor` prints these."""
+    """What became of one plugin in discovery; ``tracker doctor`` prints these."""
 
     name: str
     distribution: str
@@ -337,11 +327,12 @@ class Registry:
     """
 
     def __init__(self, origin: Origin = _RUN_TIME) -> None:
-        """Start empty; `origin` is written into every component added."""
+        """Start empty; ``origin`` is written into every component added."""
         self._origin = origin
         self._components: dict[tuple[str, str], Component] = {}
         self._reports: dict[tuple[str, str], PluginReport] = {}
         self._lock = threading.RLock()
+        self._discovering = False
         self._discovered = False
 
     def __iter__(self) -> Iterator[Component]:
@@ -362,7 +353,7 @@ class Registry:
         """Make a component known, from a plugin's hook or at run time.
 
         Raises:
-            PluginError: kind and name are taken.
+            PluginError: kind and name are taken; adding an equal record again changes nothing.
         """
         self._merge([attrs.evolve(component, origin=self._origin)])
 
@@ -400,7 +391,7 @@ class Registry:
             merged = dict(self._components)
             for component in components:
                 holder = merged.setdefault((component.kind, component.name), component)
-                if holder is not component:
+                if holder != component:  # equal: a notebook cell run again
                     raise PluginError(
                         wording(
                             f"{component} of {component.origin} ({component.target})",
@@ -451,9 +442,9 @@ class Registry:
     def search(
         self, *, kind: str | None = None, tag: str | None = None, text: str | None = None
     ) -> tuple[Component, ...]:
-        """Return the components that match everything given, by kind (as in `KINDS`) and name.
+        """Return the components that match everything given, by kind (as in ``KINDS``) and name.
 
-        `text` is looked for in name, summary, paper and tags, without regard to case.
+        ``text`` is looked for in name, summary, paper and tags, without regard to case.
 
         Raises:
             UnknownComponent: there is no such kind.
@@ -478,32 +469,27 @@ class Registry:
     ) -> None:
         """Load the installed plugins, each on its own: one that fails is recorded and harms no other.
 
-        Arguments left out come from the environment: `TRACKER_STRICT_PLUGINS=1` raises on the first
-        failure, `TRACKER_PLUGINS=a,b` pins the set, `TRACKER_PLUGINS_BLOCK=c` leaves plugins out;
+        Arguments left out come from the environment: ``TRACKER_STRICT_PLUGINS=1`` raises on the first
+        failure, ``TRACKER_PLUGINS=a,b`` pins the set, ``TRACKER_PLUGINS_BLOCK=c`` leaves plugins out;
         the names are those of the entry points. Plugins already loaded are kept, so that a second
         call picks up what was installed or repaired since the first.
 
         Raises:
             PluginError: a pinned or blocked name is not installed, or, if strict, a plugin failed.
         """
-        strict = (
-            os.environ.get("TRACKER_STRICT_PLUGINS", "") not in {"", "0"}
-            if strict is None
-            else strict
-        )
+        if strict is None:
+            strict = os.environ.get("TRACKER_STRICT_PLUGINS", "") not in {"", "0"}
         entry_points = _entry_points()
         pinned = _chosen("TRACKER_PLUGINS", only, entry_points)
         blocked = _chosen("TRACKER_PLUGINS_BLOCK", block, entry_points) or frozenset()
         with self._lock:
-            self._discovered = (
-                True  # before the loop: a plugin that asks for the registry gets this
-            )
+            self._discovering = True
             try:
                 for entry_point in entry_points:
                     self._load(entry_point, pinned=pinned, blocked=blocked, strict=strict)
-            except BaseException:
-                self._discovered = False
-                raise
+            finally:
+                self._discovering = False
+            self._discovered = True
 
     def _load(
         self,
@@ -513,7 +499,7 @@ class Registry:
         blocked: frozenset[str],
         strict: bool,
     ) -> None:
-        origin = _origin(entry_point)
+        origin = _origin(entry_point.dist)
         key = (entry_point.name, origin.distribution)
         if key in self._reports and self._reports[key].status == "loaded":
             return
@@ -562,8 +548,9 @@ class Registry:
 
     def _discover_once(self) -> None:
         if not self._discovered:
+            # Other threads wait here; a plugin that asks while it is being loaded gets what there is.
             with self._lock:
-                if not self._discovered:
+                if not self._discovered and not self._discovering:
                     self.discover()
 
 
@@ -572,11 +559,11 @@ def _text(component: Component) -> str:
     return "\n".join(words).casefold()
 
 
-def _origin(entry_point: EntryPoint) -> Origin:
-    distribution = entry_point.dist
-    if distribution is None:
-        return Origin("unknown distribution")
-    return Origin(distribution.name, distribution.version)
+@functools.cache  # one distribution has many entry points, and reading its metadata is slow
+def _origin(distribution: Distribution | None) -> Origin:
+    # A damaged installation may lack either; that must not stop the other plugins.
+    metadata: Any = {} if distribution is None else distribution.metadata or {}
+    return Origin(metadata.get("Name") or "unknown distribution", metadata.get("Version") or "")
 
 
 def _entry_points() -> list[EntryPoint]:
@@ -584,7 +571,7 @@ def _entry_points() -> list[EntryPoint]:
 
     def own_first(entry_point: EntryPoint) -> tuple[bool, str, str]:
         # Of two plugins that claim a name the first keeps it: never let a stranger displace ours.
-        distribution = _origin(entry_point).distribution
+        distribution = _origin(entry_point.dist).distribution
         return (distribution != OWN_DISTRIBUTION, distribution, entry_point.name)
 
     return sorted(entry_points(group=GROUP), key=own_first)
@@ -622,123 +609,24 @@ def default_registry() -> Registry:
     Plugins are discovered on first use, once, whichever thread comes first.
 
     Raises:
-        PluginError: as `Registry.discover`; the next call tries again.
+        PluginError: as ``Registry.discover``; the next call tries again.
     """
     _default._discover_once()  # noqa: SLF001 - the module's own
     return _default
 
 
-@attrs.frozen(kw_only=True)
-class Parameter:
-    """One parameter of a component, as its signature declares it; a required one has no default."""
-
-    name: str
-    required: bool
-    default: str
-    unit: str
-    annotation: str
-
-
 def describe_parameters(component: Component) -> tuple[Parameter, ...]:
-    """Read the parameters of a component from the signature of its target.
-
-    A unit is the first string in the parameter's `typing.Annotated[float, "rad"]`; "" if none.
+    """Return name, default, unit and type of each parameter that ``component.make`` takes.
 
     Raises:
-        PluginError: as `Component.load`.
-
-    Example:
-    >>> describe_parameters(
-    ...     Component(kind="metric", name="t", target="textwrap:shorten", summary="s", paper="0")
-    ... )[1]
-    Parameter(name='width', required=True, default='', unit='', annotation='')
+        PluginError: as ``Component.load``.
     """
-    target = component.load()
-    fields = _fields(target)
-    namespace = getattr(inspect.unwrap(target), "__globals__", {})
-    described = []
-    for p in _declared(target) or ():
-        if p.kind is p.VAR_KEYWORD:
-            continue
-        # The generated __init__ of an attrs class shows a converter's types, the field our own.
-        annotation, module, default = fields.get(p.name, (p.annotation, namespace, p.default))
-        described.append(
-            Parameter(
-                name=p.name,
-                required=p.default is p.empty,
-                default="" if p.default is p.empty else _default_text(default),
-                unit=_unit(annotation, module),
-                annotation="" if annotation is p.empty else _annotation_text(annotation),
-            )
-        )
-    return tuple(described)
-
-
-def _fields(target: object) -> dict[str, tuple[object, dict[str, Any], object]]:
-    """Return annotation, namespace and default of each field of an attrs class, by its alias."""
-    if not (isinstance(target, type) and attrs.has(target)):
-        return {}
-    annotations: dict[str, tuple[object, dict[str, Any]]] = {}
-    for base in reversed(target.__mro__):
-        module = vars(sys.modules.get(base.__module__, object))
-        annotations |= {
-            name: (text, dict(module)) for name, text in inspect.get_annotations(base).items()
-        }
-    return {
-        field.alias or field.name: (*annotations.get(field.name, (field.type, {})), field.default)
-        for field in attrs.fields(target)
-    }
-
-
-def _default_text(default: object) -> str:
-    factory = getattr(default, "factory", None)
-    if factory is not None:
-        default = factory if getattr(default, "takes_self", False) else factory()
-    return getattr(default, "__name__", None) or repr(default)
-
-
-def _annotation_text(annotation: object) -> str:
-    return annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-
-
-def _unit(annotation: object, namespace: dict[str, Any]) -> str:
-    def probe() -> None: ...
-
-    probe.__annotations__ = {"it": annotation}
-    try:
-        resolved = typing.get_type_hints(probe, globalns=namespace, include_extras=True)["it"]
-    except Exception:  # noqa: BLE001 - an annotation is arbitrary code of a stranger
-        # Commonly a name imported for type checking only: the unit is still there to be read.
-        return _unit_in_text(annotation) if isinstance(annotation, str) else ""
-    return _unit_in_hint(resolved)
-
-
-def _unit_in_hint(hint: object) -> str:
-    if typing.get_origin(hint) is typing.Annotated:
-        return next((extra for extra in typing.get_args(hint)[1:] if isinstance(extra, str)), "")
-    return next(filter(None, map(_unit_in_hint, typing.get_args(hint))), "")
-
-
-def _unit_in_text(annotation: str) -> str:
-    try:
-        tree = ast.parse(annotation, mode="eval")
-    except SyntaxError:
-        return ""
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Subscript)
-            and isinstance(node.slice, ast.Tuple)
-            and ast.unparse(node.value).endswith("Annotated")
-        ):
-            for extra in node.slice.elts[1:]:
-                if isinstance(extra, ast.Constant) and isinstance(extra.value, str):
-                    return extra.value
-    return ""
+    return parameters_of(component.load())
 
 
 @attrs.frozen
 class Catalogue(Generic[T]):
-    """The components of one kind, typed: `filters.make("ekf1")` is a Filter to a type checker too.
+    """The components of one kind, typed: ``filters.make("ekf1")`` is a Filter to a type checker too.
 
     Example:
     >>> gates = Catalogue("gate", Registry)
@@ -750,15 +638,15 @@ class Catalogue(Generic[T]):
     registry: Callable[[], Registry] = default_registry
 
     def make(self, name: str, /, **parameters: object) -> T:
-        """Make the component of that name; see `Component.make`.
+        """Make the component of that name; see ``Component.make``.
 
         Raises:
-            UnknownComponent, PluginError, ConfigError: as `Registry.get` and `Component.make`.
+            UnknownComponent, PluginError, ConfigError: as ``Registry.get`` and ``Component.make``.
         """
         return cast("T", self[name].make(**parameters))
 
     def names(self) -> tuple[str, ...]:
-        """Return the names that `make` accepts, sorted."""
+        """Return the names that ``make`` accepts, sorted."""
         return tuple(component.name for component in self)
 
     def __iter__(self) -> Iterator[Component]:

@@ -1,0 +1,362 @@
+"""The command ``tracker``: what is installed, where it comes from, and whether it is well.
+
+Only the printing belongs here. Commands that do heavier work live in modules of their own, named in
+``LAZY``, and every command imports what it needs when it runs: ``tracker --help`` must stay instant.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from tracker.registry import Component, Registry
+
+# Commands in other modules: name -> ("package.module:command", the line shown by --help).
+LAZY: dict[str, tuple[str, str]] = {}
+
+_WIDE_ENOUGH = 100
+_CAPABILITIES = ("jacobian", "hessian", "linearise", "components", "invert")
+_SPACES = ("space", "pose_space", "state")
+
+
+class _Commands(click.Group):
+    """A group that imports a lazy command only to run it, and words errors for a person."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted({*super().list_commands(ctx), *LAZY})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in LAZY:
+            module, _, attribute = LAZY[cmd_name][0].partition(":")
+            command: click.Command = getattr(importlib.import_module(module), attribute)
+            return command
+        return super().get_command(ctx, cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [
+                    (
+                        name,
+                        LAZY[name][1] if name in LAZY else self.commands[name].get_short_help_str(),
+                    )
+                    for name in self.list_commands(ctx)
+                ]
+            )
+
+    def invoke(self, ctx: click.Context) -> Any:
+        from tracker.errors import TrackerError
+
+        try:
+            return super().invoke(ctx)
+        except TrackerError as error:
+            if os.environ.get("TRACKER_DEBUG", "") not in {"", "0"}:
+                raise
+            line = " ".join(str(error).split())
+            click.echo(f"{type(error).__name__}: {line}", err=True)
+            raise click.exceptions.Exit(2) from error
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="tracker-lab", prog_name="tracker")
+def main() -> None:
+    """Passive target tracking: see, check and run what is installed."""
+
+
+@main.command("list")
+@click.argument("kind", required=False)
+@click.option("--tag", help="Only components with this tag.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON; see below.")
+def list_(kind: str | None, tag: str | None, *, as_json: bool) -> None:
+    """List components, of one KIND or of all, each with its source.
+
+    With --json: {"schema": 1, "components": [...], "plugins": [...]}. A component has kind, name,
+    summary, paper, equations, tags, requires (module, install), available, examples, target,
+    origin (distribution, version). A plugin that is not loaded has name, distribution, version,
+    status, cause. Within a schema number keys are only ever added.
+    """
+    from tracker.registry import default_registry
+
+    registry = default_registry()
+    found = registry.search(kind=kind, tag=tag)
+    if as_json:
+        click.echo(json.dumps(_as_data(found, registry), indent=2))
+        return
+    if found:
+        _table(
+            ("kind", "name", "summary", "source", "origin"),
+            [(one.kind, one.name, one.summary, _source(one), str(one.origin)) for one in found],
+        )
+    else:
+        tags = sorted({tag for one in registry.search(kind=kind) for tag in one.tags})
+        click.echo(f"No component matches. Tags in use: {', '.join(tags) or 'none'}.", err=True)
+    failed = sum(report.status == "failed" for report in registry.plugins)
+    if failed:
+        click.echo(f"{failed} plugin(s) failed to load: see 'tracker doctor'.", err=True)
+
+
+def _as_data(components: Iterable[Component], registry: Registry) -> dict[str, object]:
+    return {
+        "schema": 1,
+        "components": [
+            {
+                "kind": one.kind,
+                "name": one.name,
+                "summary": one.summary,
+                "paper": one.paper,
+                "equations": list(one.equations),
+                "tags": list(one.tags),
+                "requires": [{"module": name, "install": pip} for name, pip in one.requires],
+                "available": not one.missing(),
+                "examples": list(one.examples),
+                "target": one.target,
+                "origin": {
+                    "distribution": one.origin.distribution,
+                    "version": one.origin.version,
+                },
+            }
+            for one in components
+        ],
+        "plugins": [
+            {
+                "name": report.name,
+                "distribution": report.distribution,
+                "version": report.version,
+                "status": report.status,
+                "cause": report.cause,
+            }
+            for report in registry.plugins
+            if report.status != "loaded"
+        ],
+    }
+
+
+@main.command()
+@click.argument("name")
+@click.option("--kind", help="Only the component of this kind, where several share the name.")
+def show(name: str, kind: str | None) -> None:
+    """Show all that is known of the component NAME."""
+    for component in _named(name, kind):
+        _show(component)
+
+
+def _named(name: str, kind: str | None) -> tuple[Component, ...]:
+    from tracker.registry import default_registry
+
+    registry = default_registry()
+    return registry.find(name) if kind is None else (registry.get(kind, name),)
+
+
+def _show(component: Component) -> None:
+    from tracker.registry import describe_parameters
+
+    click.echo(f"{component}\n{component.summary}\n")
+    facts = [
+        ("source", _source(component)),
+        ("origin", str(component.origin)),
+        ("target", component.target),
+        ("tags", ", ".join(component.tags)),
+        ("requires", ", ".join(pip for _, pip in component.requires)),
+    ]
+    if component.missing():
+        _facts(facts)
+        component.load()  # raises, saying what to install
+    parameters = describe_parameters(component)
+    facts += _abilities(component, required=[p.name for p in parameters if p.required])
+    laws = conformance(component)
+    if laws is not None:
+        passed = [law for law, outcome in laws if outcome == "passed"]
+        facts.append(("passes", f"{len(passed)} of {len(laws)} laws: {', '.join(passed)}"))
+    _facts(facts)
+    if parameters:
+        click.echo()
+        _table(
+            ("parameter", "unit", "default", "type"),
+            [
+                (p.name, p.unit, "(required)" if p.required else p.default, p.annotation)
+                for p in parameters
+            ],
+        )
+    for example in component.examples:
+        click.echo(f"\nexample: {example}")
+    click.echo()
+
+
+def _abilities(component: Component, required: Sequence[str]) -> list[tuple[str, str]]:
+    """Shapes and capabilities: of the component with its defaults, or else of its class."""
+    facts = []
+    made: object
+    if required:
+        made = component.load()
+        facts.append(("shapes", f"known once made with {', '.join(required)}"))
+    else:
+        try:
+            made = component.make()
+        except Exception as error:  # noqa: BLE001 - a stranger's constructor may raise anything
+            made = component.load()
+            facts.append(("shapes", f"unknown, it cannot be made from its defaults: {error}"))
+        else:
+            for name in _SPACES:
+                space = getattr(made, name, None)
+                if hasattr(space, "axes"):
+                    facts.append((name.replace("_", " "), _components(space)))
+    has = [name for name in _CAPABILITIES if callable(getattr(made, name, None))]
+    if has:
+        facts.append(("has", ", ".join(has)))
+    return facts
+
+
+def _components(space: Any) -> str:
+    return ", ".join(
+        axis.name
+        + (f" [{axis.unit}]" if axis.unit else "")
+        + (" circular" if axis.circular else "")
+        for axis in space.axes
+    )
+
+
+def conformance(component: Component) -> list[tuple[str, str]] | None:
+    """Return each law of the conformance kit with its outcome; None where the kit is missing.
+
+    The only place where commands meet the kit: ``tracker.testing.outcomes(component)``.
+    """
+    try:
+        kit = importlib.import_module("tracker.testing")
+    except ModuleNotFoundError:
+        return None
+    outcomes = getattr(kit, "outcomes", None)
+    return None if outcomes is None else list(outcomes(component))
+
+
+@main.command()
+@click.argument("name")
+@click.option("--kind", help="Only the component of this kind, where several share the name.")
+def check(name: str, kind: str | None) -> None:
+    """Check that the component NAME obeys the laws of its kind."""
+    failed = False
+    for component in _named(name, kind):
+        laws = conformance(component)
+        if laws is None:
+            click.echo("The conformance kit (tracker.testing) is not installed.", err=True)
+            raise click.exceptions.Exit(2)
+        click.echo(str(component))
+        _table(("law", "outcome"), laws)
+        failed |= any(outcome == "failed" for _, outcome in laws)
+    raise click.exceptions.Exit(int(failed))
+
+
+@main.command()
+def doctor() -> None:
+    """Report on plugins, versions and optional extras; exit code 1 if a plugin failed."""
+    import platform
+
+    from tracker.registry import Registry
+
+    # A registry of its own: load times are then measured here, and strict mode cannot end the report.
+    registry = Registry()
+    registry.discover(strict=False)
+    if registry.plugins:
+        _table(
+            ("plugin", "origin", "status", "components", "load [ms]"),
+            [
+                (
+                    report.name,
+                    f"{report.distribution} {report.version}",
+                    report.status,
+                    str(report.components),
+                    f"{1e3 * report.seconds:.1f}",
+                )
+                for report in registry.plugins
+            ],
+        )
+    else:
+        click.echo("No plugins are installed, not even our own: reinstall tracker-lab.")
+    failed = [report for report in registry.plugins if report.status == "failed"]
+    for report in failed:
+        click.echo(f"\nplugin {report.name!r} ({report.target}) failed: {report.cause}")
+        click.echo("\n".join(f"    {line}" for line in report.traceback.splitlines()))
+    click.echo()
+    _facts(
+        [
+            ("python", f"{platform.python_version()} on {platform.platform()}"),
+            *(
+                (name, _version(name) or "not installed")
+                for name in ("tracker-lab", "numpy", "scipy")
+            ),
+            *_extras(),
+        ]
+    )
+    raise click.exceptions.Exit(int(bool(failed)))
+
+
+def _version(distribution: str) -> str | None:
+    from importlib import metadata
+
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _extras() -> list[tuple[str, str]]:
+    import re
+    from importlib import metadata
+
+    try:
+        requirements = metadata.requires("tracker-lab") or []
+    except metadata.PackageNotFoundError:
+        return []
+    absent: dict[str, list[str]] = {}
+    for requirement in requirements:
+        match = re.match(
+            r"(?P<name>[\w.-]+).*extra\s*==\s*['\"](?P<extra>[\w-]+)['\"]", requirement
+        )
+        if match:
+            missing = absent.setdefault(match["extra"], [])
+            missing += [] if _version(match["name"]) else [match["name"]]
+    return [
+        (
+            f"extra {extra}",
+            f"lacks {', '.join(missing)}: pip install 'tracker-lab[{extra}]'"
+            if missing
+            else "present",
+        )
+        for extra, missing in absent.items()
+    ]
+
+
+def _source(component: Component) -> str:
+    paper = f"paper {component.paper}" if component.paper.isdigit() else component.paper
+    return paper + (f", eq. {', '.join(component.equations)}" if component.equations else "")
+
+
+def _facts(facts: Iterable[tuple[str, str]]) -> None:
+    for name, value in facts:
+        if value:
+            click.echo(f"{name:<13} {value}")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a ruled table on a wide terminal, and aligned columns, easy to grep, anywhere else."""
+    if sys.stdout.isatty() and shutil.get_terminal_size().columns >= _WIDE_ENOUGH:
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(*head)
+        for row in rows:
+            table.add_row(*map(Text, row))  # Text: "[rad]" is a unit here, not markup
+        Console().print(table)
+        return
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    for row in (head, *rows):
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        click.echo("  ".join(cells).rstrip())
