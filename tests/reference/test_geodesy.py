@@ -47,12 +47,14 @@ def test_geodetic_coordinates_equal_pyproj() -> None:
     position = ecef_from_geodetic(*grid())
     longitude, latitude, height = oracle.transform(*position, radians=True, direction="INVERSE")
     ours = geodetic_from_ecef(position)
-    near = HEIGHTS < 1e5  # pyproj takes one step of Bowring's iteration: 8e-9 rad off at 1e7 m
-    np.testing.assert_allclose(ours[0][..., near], latitude[..., near], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(ours[0], latitude, rtol=0, atol=1e-8)
     off_axis = np.hypot(position[0], position[1]) > 1e-3
     np.testing.assert_allclose(ours[1][off_axis], longitude[off_axis], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(ours[2], height, rtol=0, atol=2e-8)
+    # pyproj takes one step of Bowring's iteration, so it loses digits with height; how exact ours
+    # is, the forward oracle above and the round trip in tests/property say together.
+    for heights, angle, length in ((HEIGHTS < 1e5, 1e-11, 2e-5), (HEIGHTS > 1e5, 1e-8, 0.2)):
+        chosen = np.s_[..., heights]
+        np.testing.assert_allclose(ours[0][chosen], latitude[chosen], rtol=0, atol=angle)
+        np.testing.assert_allclose(ours[2][chosen], height[chosen], rtol=0, atol=length)
 
 
 @pytest.mark.parametrize(
