@@ -1,8 +1,8 @@
 """The one hook by which a plugin makes its components known: its markers and its reference manual.
 
-No mechanism belongs here; discovery, failure policy and look-up are in `tracker.registry`.
+No mechanism belongs here; discovery, failure policy and look-up are in ``tracker.registry``.
 
-A plugin is a module named by an entry point of the group `tracker.plugins`::
+A plugin is a module named by an entry point of the group ``tracker.plugins``::
 
     # pyproject.toml of the plugin
     [project.entry-points."tracker.plugins"]
@@ -44,13 +44,13 @@ hookimpl = pluggy.HookimplMarker("tracker")
 
 @hookspec
 def tracker_components(registry: Registry) -> None:
-    """Add the plugin's components, by `registry.add(Component(...))`, once per component.
+    """Add the plugin's components, by ``registry.add(Component(...))``, once per component.
 
     The hook is called once, when the plugin is discovered. What it adds becomes visible after it
     has returned, all of it or, if it raises, none of it; the framework then records the plugin as
     failed and goes on with the next one. The hook therefore needs no error handling of its own.
 
-    `registry` takes components only: those of other plugins are not in it, and neither the hook nor
-    the import of the plugin may ask `tracker.registry.default_registry()` for them. The origin of
+    ``registry`` takes components only: those of other plugins are not in it, and neither the hook nor
+    the import of the plugin may ask ``tracker.registry.default_registry()`` for them. The origin of
     a component (distribution and version) is filled in by the framework.
     """

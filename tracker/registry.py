@@ -547,11 +547,10 @@ class Registry:
             )
 
     def _discover_once(self) -> None:
-        if not self._discovered:
-            # Other threads wait here; a plugin that asks while it is being loaded gets what there is.
-            with self._lock:
-                if not self._discovered and not self._discovering:
-                    self.discover()
+        # Other threads wait here; a plugin that asks while it is being loaded gets what there is.
+        with self._lock:
+            if not (self._discovered or self._discovering):
+                self.discover()
 
 
 def _text(component: Component) -> str:
@@ -562,7 +561,7 @@ def _text(component: Component) -> str:
 @functools.cache  # one distribution has many entry points, and reading its metadata is slow
 def _origin(distribution: Distribution | None) -> Origin:
     # A damaged installation may lack either; that must not stop the other plugins.
-    metadata: Any = {} if distribution is None else distribution.metadata or {}
+    metadata: Any = {} if distribution is None else distribution.metadata
     return Origin(metadata.get("Name") or "unknown distribution", metadata.get("Version") or "")
 
 
