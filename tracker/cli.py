@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LAZY: dict[str, tuple[str, str]] = {}
 
 _WIDE_ENOUGH = 100
-_CAPABILITIES = ("jacobian", "hessian", "linearise", "components", "invert")
+_CAPABILITIES = ("jacobian", "hessian", "linearise", "prior")
 _SPACES = ("space", "pose_space", "state")
 
 
@@ -46,7 +46,9 @@ class _Commands(click.Group):
                 [
                     (
                         name,
-                        LAZY[name][1] if name in LAZY else self.commands[name].get_short_help_str(),
+                        LAZY[name][1]
+                        if name in LAZY
+                        else self.commands[name].get_short_help_str(limit=80),
                     )
                     for name in self.list_commands(ctx)
                 ]
@@ -74,7 +76,7 @@ def main() -> None:
 @main.command("list")
 @click.argument("kind", required=False)
 @click.option("--tag", help="Only components with this tag.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON; see below.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, as described above.")
 def list_(kind: str | None, tag: str | None, *, as_json: bool) -> None:
     """List components, of one KIND or of all, each with its source.
 
@@ -209,8 +211,11 @@ def _abilities(component: Component, required: Sequence[str]) -> list[tuple[str,
                 if hasattr(space, "axes"):
                     facts.append((name.replace("_", " "), _components(space)))
     has = [name for name in _CAPABILITIES if callable(getattr(made, name, None))]
-    if has:
-        facts.append(("has", ", ".join(has)))
+    if getattr(made, "why_opaque", None) == "":
+        has.append("components (can be traced)")
+    needs = getattr(made, "needs", ())
+    facts += [("has", ", ".join(has))]
+    facts += [("needs", ", ".join(needs))] if isinstance(needs, tuple) else []
     return facts
 
 
@@ -224,7 +229,7 @@ def _components(space: Any) -> str:
 
 
 def conformance(component: Component) -> list[tuple[str, str]] | None:
-    """Return each law of the conformance kit with its outcome; None where the kit is missing.
+    """Return each law with its outcome; None where the kit, or what it needs, is not installed.
 
     The only place where commands meet the kit: ``tracker.testing.outcomes(component)``.
     """
@@ -245,7 +250,9 @@ def check(name: str, kind: str | None) -> None:
     for component in _named(name, kind):
         laws = conformance(component)
         if laws is None:
-            click.echo("The conformance kit (tracker.testing) is not installed.", err=True)
+            click.echo(
+                "The conformance kit is not there: pip install 'tracker-lab[test]'.", err=True
+            )
             raise click.exceptions.Exit(2)
         click.echo(str(component))
         _table(("law", "outcome"), laws)

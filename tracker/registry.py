@@ -32,6 +32,21 @@ from tracker.parameters import Parameter, declared_parameters, parameters_of
 if TYPE_CHECKING:
     from importlib.metadata import Distribution, EntryPoint
 
+    from tracker.protocols import (
+        Associator,
+        Deleter,
+        Filter,
+        Gate,
+        Initiator,
+        MotionModel,
+        NoiseAdapter,
+        Optimiser,
+        Planner,
+        Scenario,
+        SensorModel,
+        Smoother,
+    )
+
 __all__ = [
     "KINDS",
     "MEANINGS",
@@ -676,16 +691,16 @@ class Catalogue(Generic[T]):
         return f"<table>{caption}{head}{rows}</table>"
 
 
-motions: Catalogue[Any] = Catalogue("motion")
-sensors: Catalogue[Any] = Catalogue("sensor")
-filters: Catalogue[Any] = Catalogue("filter")
-smoothers: Catalogue[Any] = Catalogue("smoother")
-adapters: Catalogue[Any] = Catalogue("adapter")
-optimisers: Catalogue[Any] = Catalogue("optimiser")
-gates: Catalogue[Any] = Catalogue("gate")
-associators: Catalogue[Any] = Catalogue("associator")
-initiators: Catalogue[Any] = Catalogue("initiator")
-deleters: Catalogue[Any] = Catalogue("deleter")
-planners: Catalogue[Any] = Catalogue("planner")
-scenarios: Catalogue[Any] = Catalogue("scenario")
+motions: Catalogue[MotionModel] = Catalogue("motion")
+sensors: Catalogue[SensorModel] = Catalogue("sensor")
+filters: Catalogue[Filter[Any]] = Catalogue("filter")
+smoothers: Catalogue[Smoother] = Catalogue("smoother")
+adapters: Catalogue[NoiseAdapter[Any]] = Catalogue("adapter")
+optimisers: Catalogue[Optimiser[Any]] = Catalogue("optimiser")
+gates: Catalogue[Gate] = Catalogue("gate")
+associators: Catalogue[Associator] = Catalogue("associator")
+initiators: Catalogue[Initiator] = Catalogue("initiator")
+deleters: Catalogue[Deleter] = Catalogue("deleter")
+planners: Catalogue[Planner] = Catalogue("planner")
+scenarios: Catalogue[Scenario] = Catalogue("scenario")
 metrics: Catalogue[Any] = Catalogue("metric")

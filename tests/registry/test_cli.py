@@ -52,6 +52,9 @@ class Bearing:
 
     def jacobian(self) -> None: ...
 
+    why_opaque = ""
+    needs = ("hessian",)
+
 
 def tell(*arguments: str) -> Result:
     return CliRunner().invoke(tracker.cli.main, arguments)
@@ -140,7 +143,8 @@ def test_show_tells_source_parameters_shapes_and_capabilities(registry: Registry
         "sensor 'azimuth'",
         "paper 0, eq. (3), (7)",
         "azimuth [rad] circular",
-        "jacobian",
+        "jacobian, components",
+        "needs         hessian",
         "0.01",
         "azimuth(sigma=0.02)",
     ):
