@@ -1,0 +1,68 @@
+"""The Rauch-Tung-Striebel fixed-interval smoother (paper 0 eq. 24)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.algebra import apply, congruence, gain, product, residual, transpose
+from tracker.models.linearise import linearise
+from tracker.protocols import MotionModel
+from tracker.types import Gaussian, History, Trajectory
+
+
+@attrs.frozen
+class RauchTungStriebel:
+    """Smooths a filtered history backwards, for linear and linearised motion.
+
+    ``G = P F' (P-)^-1``, ``xs = x + G (xs+ - x-)``, ``Ps = P + G (Ps+ - P-) G'``, with the predicted
+    moments that the filter stored, so that it is right after adapted or per-lane noise.
+
+    Reference: Särkkä, section 9.1; paper 0, eq. 24.
+    Laws: those of kind "smoother".
+    """
+
+    needs = ("jacobian",)
+
+    def step(
+        self,
+        filtered: Gaussian,
+        predicted: Gaussian,
+        smoothed: Gaussian,
+        motion: MotionModel,
+        dt: Any,
+        u: Any = None,
+        t: Any = None,
+    ) -> Gaussian:
+        """Smoothed moments at k, from those filtered at k and predicted and smoothed at k + 1."""
+        _, F = linearise(motion, filtered.mean, dt, u, t)
+        G = gain(transpose(product(F, filtered.cov)), predicted.cov)
+        ahead = residual(smoothed.mean, predicted.mean, _circular(motion))
+        return Gaussian.trusted(
+            filtered.mean + apply(G, ahead),
+            filtered.cov + congruence(G, smoothed.cov - predicted.cov),
+        )
+
+    def smooth(self, history: History, motion: MotionModel) -> History:
+        """The history with its ``smoothed`` trajectory; the last step equals the filter."""
+        filtered, predicted, t = history.filtered, history.predicted, history.t
+        mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
+        if not len(history):
+            return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+        state = filtered.at(len(history) - 1)
+        mean[-1], cov[-1] = state.mean, state.cov
+        with np.errstate(all="ignore"):
+            for k in range(len(history) - 2, -1, -1):
+                u = None if history.u is None else history.u[k + 1]
+                state = self.step(
+                    filtered.at(k), predicted.at(k + 1), state, motion, t[k + 1] - t[k], u, t[k]
+                )
+                mean[k], cov[k] = state.mean, state.cov
+        return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+
+
+def _circular(motion: MotionModel) -> bool | tuple[bool, ...]:
+    flags = motion.space.circular
+    return flags if any(flags) else False

@@ -1,0 +1,167 @@
+"""The small matrix algebra that filters and smoothers are written over, once.
+
+A definition uses ``+``, ``-`` and the verbs below, and runs under three interpretations, chosen by
+the arguments alone:
+
+* *lanes*: float arrays with batch axes last, ``(n, *batch)`` and ``(n, n, *batch)``; a value that
+  all lanes share has trailing axes of length 1. NumPy, every lane at once.
+* *one run*: ``(n,)`` and ``(n, n)``; BLAS and LAPACK.
+* *components*: object arrays ``(n,)`` and ``(n, n)`` of graph nodes (or floats); what a compiler
+  reads.
+
+The verbs are coarse on purpose: each costs a microsecond or two of Python however small the
+matrices are. Covariances stay exactly symmetric: the upper triangle is computed or mirrored.
+Filters themselves do not belong here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tracker.algebra import components, lanes
+from tracker.models.functions import wrap
+from tracker.types import Columns
+
+__all__ = [
+    "apply",
+    "condition",
+    "congruence",
+    "dense",
+    "factor",
+    "finite",
+    "gain",
+    "mahalanobis",
+    "product",
+    "residual",
+    "symmetric_product",
+    "transpose",
+    "wrap",
+]
+
+
+def _of(matrix: Any) -> Any:
+    """The interpretation that a covariance-like value asks for."""
+    if matrix.dtype == object:
+        return components
+    if matrix.ndim == 2:  # noqa: PLR2004 - a matrix without batch axes
+        from tracker.algebra import one  # noqa: PLC0415 - SciPy is imported on the first such step
+
+        return one
+    return lanes
+
+
+def congruence(F: Any, P: Any) -> Any:
+    """``F P F'``, exactly symmetric: a covariance seen through a linear map.
+
+    Shapes:
+        F ``(k, n, *batch)`` or `Columns`; P ``(n, n, *batch)``; result ``(k, k, *batch)``.
+    """
+    return _of(P).congruence(F, P)
+
+
+def product(H: Any, P: Any) -> Any:
+    """``H P``.
+
+    Shapes:
+        H ``(m, n, *batch)`` or `Columns`; P ``(n, k, *batch)``; result ``(m, k, *batch)``.
+    """
+    return _of(P).product(H, P)
+
+
+def symmetric_product(A: Any, H: Any) -> Any:
+    """``A H'`` where the result is known to be symmetric, as ``(H P) H'`` is.
+
+    Shapes:
+        A ``(m, n, *batch)``; H ``(m, n, *batch)`` or `Columns`; result ``(m, m, *batch)``.
+    """
+    return _of(A).symmetric_product(A, H)
+
+
+def apply(A: Any, v: Any) -> Any:
+    """``A v``.
+
+    Shapes:
+        A ``(k, n, *batch)``; v ``(n, *batch)``; result ``(k, *batch)``.
+    """
+    return _of(A).product(A, v[:, None])[:, 0]
+
+
+def transpose(A: Any) -> Any:
+    """The two matrix axes exchanged, as a view."""
+    return A.swapaxes(0, 1)
+
+
+def residual(z: Any, zhat: Any, circular: bool | tuple[bool, ...]) -> Any:
+    """``z - zhat``, in (-pi, pi] where a component lives on a circle.
+
+    Shapes:
+        z, zhat ``(m, ...)``; circular: one flag for all components, or one each.
+    """
+    difference = z - zhat
+    if circular is False:
+        return difference
+    if difference.dtype == object:
+        return components.residual(difference, circular)
+    if circular is True:
+        return lanes.wrapped(difference)
+    for i, flag in enumerate(circular):
+        if flag:
+            difference[i] = lanes.wrapped(difference[i])
+    return difference
+
+
+def factor(P: Any) -> Any:
+    """Lower triangular L with ``L L' = P``; a zero pivot gives a zero column, so singular P works.
+
+    Shapes:
+        P ``(n, n, *batch)``; result alike.
+    """
+    return _of(P).factor(P)
+
+
+def gain(cross: Any, S: Any) -> Any:
+    """``cross S^-1``, the regression of a state on what correlates with it by ``cross``.
+
+    A direction in which S is exactly zero carries no information: its column of the gain is zero.
+
+    Shapes:
+        cross ``(n, m, *batch)``; S ``(m, m, *batch)``; result ``(n, m, *batch)``.
+    """
+    return _of(S).gain(cross, S)
+
+
+def mahalanobis(v: Any, S: Any) -> Any:
+    """``v' S^-1 v``.
+
+    Shapes:
+        v ``(m, *batch)``; S ``(m, m, *batch)``, broadcast against it; result ``(*batch)``.
+    """
+    return _of(S).mahalanobis(v, S)
+
+
+def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
+    """Condition a Gaussian on a measurement; components whose residual is NaN were not measured.
+
+    The whitened update: with ``S = L L'``, ``W = L^-1 cross'``, ``y = L^-1 v``, the result is
+    ``mean + W' y`` and ``cov - W' W``, symmetric by construction.
+
+    Shapes:
+        mean ``(n, *batch)``; cov ``(n, n, *batch)``; v ``(m, *batch)``; S ``(m, m, *batch)``;
+        cross ``(n, m, *batch)``.
+
+    Returns:
+        mean, cov, nis, loglik, count (of measured components): the last three ``(*batch)``.
+    """
+    return _of(cov).condition(mean, cov, v, S, cross)  # type: ignore[no-any-return]
+
+
+def dense(H: Any) -> Any:
+    """A Jacobian as a full matrix."""
+    return H.dense() if isinstance(H, Columns) else H
+
+
+def finite(value: Any) -> Any:
+    """Whether each lane is finite; a graph node answers True: its kernel flags lanes itself."""
+    return np.isfinite(value) if isinstance(value, (float, np.ndarray)) else True

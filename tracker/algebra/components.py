@@ -1,0 +1,166 @@
+"""The algebra over components: object arrays of graph nodes or floats, where zeros vanish.
+
+This is what a compiler reads. Equal expressions become one node, so sparsity and symmetry need no
+patterns: both triangles of a covariance hold the same object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from tracker.models.functions import absolute, isnan, less, log, maximum, sqrt, where, wrap
+from tracker.models.graph import is_zero, plain
+
+LOG_TAU = math.log(2.0 * math.pi)
+
+
+def _dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
+    out: Any = 0.0
+    for u, v in zip(a, b, strict=True):
+        if not (is_zero(u) or is_zero(v)):
+            out = u * v if is_zero(out) else out + u * v
+    return plain(out)
+
+
+def _matrix(rows: int, columns: int, entry: Callable[[int, int], Any]) -> Any:
+    out = np.empty((rows, columns), dtype=object)
+    for i in range(rows):
+        for j in range(columns):
+            out[i, j] = plain(entry(i, j))
+    return out
+
+
+def _symmetric(n: int, entry: Callable[[int, int], Any]) -> Any:
+    out = np.empty((n, n), dtype=object)
+    for i in range(n):
+        for j in range(i, n):
+            out[i, j] = out[j, i] = plain(entry(i, j))
+    return out
+
+
+def _vector(entries: Iterable[Any]) -> Any:
+    values = [plain(e) for e in entries]
+    out = np.empty(len(values), dtype=object)
+    out[:] = values
+    return out
+
+
+def congruence(F: Any, P: Any) -> Any:
+    half = product(F, P)
+    return _symmetric(len(F), lambda i, j: _dot(half[i], F[j]))
+
+
+def product(H: Any, P: Any) -> Any:
+    return _matrix(len(H), P.shape[1], lambda i, j: _dot(H[i], P[:, j]))
+
+
+def symmetric_product(A: Any, H: Any) -> Any:
+    return _symmetric(len(H), lambda i, j: _dot(A[i], H[j]))
+
+
+def residual(difference: Any, circular: bool | tuple[bool, ...]) -> Any:
+    flags = (circular,) * len(difference) if isinstance(circular, bool) else circular
+    out = difference.copy()
+    for i, flag in enumerate(flags):
+        if flag:
+            out[i] = plain(wrap(difference[i])) if difference.ndim == 1 else [
+                plain(wrap(e)) for e in difference[i]
+            ]
+    return out
+
+
+def _inverse_factor(S: Any) -> tuple[list[list[Any]], list[Any]]:
+    """Rows of the factor below the diagonal, and the reciprocals of its diagonal.
+
+    A pivot of zero has the reciprocal zero: that direction carries no information.
+    """
+    m = len(S)
+    rows: list[list[Any]] = [[0.0] * m for _ in range(m)]
+    inverse: list[Any] = []
+    for a in range(m):
+        for b in range(a):
+            rows[a][b] = plain((S[a, b] - _dot(rows[a][:b], rows[b][:b])) * inverse[b])
+        pivot = S[a, a] - _dot(rows[a][:a], rows[a][:a])
+        if is_zero(pivot):
+            inverse.append(0.0)
+            continue
+        good = pivot > 0.0
+        nan = isnan(pivot)
+        root = 1.0 / sqrt(where(good, pivot, 1.0))
+        inverse.append(where(good, root, where(nan, pivot, 0.0)))
+    return rows, inverse
+
+
+def factor(P: Any) -> Any:
+    n = len(P)
+    rows, inverse = _inverse_factor(P)
+    out = np.zeros((n, n), dtype=object)
+    for a in range(n):
+        for b in range(a):
+            out[a, b] = rows[a][b]
+        pivot = P[a, a] - _dot(rows[a][:a], rows[a][:a])
+        out[a, a] = 0.0 if is_zero(inverse[a]) else plain(sqrt(maximum(pivot, 0.0)))
+    return out
+
+
+def _forward(rows: list[list[Any]], inverse: list[Any], columns: list[Any]) -> list[Any]:
+    """Rows of L^-1 B, given the rows of B."""
+    out: list[Any] = []
+    for a, column in enumerate(columns):
+        below = rows[a][:a]
+        out.append([
+            plain((e - _dot(below, [w[i] for w in out])) * inverse[a]) for i, e in enumerate(column)
+        ])
+    return out
+
+
+def gain(cross: Any, S: Any) -> Any:
+    n, m = cross.shape
+    rows, inverse = _inverse_factor(S)
+    whitened = _forward(rows, inverse, [list(cross[:, a]) for a in range(m)])
+    out = np.zeros((n, m), dtype=object)
+    for a in reversed(range(m)):
+        later = range(a + 1, m)
+        for i in range(n):
+            known = _dot([rows[b][a] for b in later], [out[i, b] for b in later])
+            out[i, a] = plain((whitened[a][i] - known) * inverse[a])
+    return out
+
+
+def mahalanobis(v: Any, S: Any) -> Any:
+    rows, inverse = _inverse_factor(S)
+    y = [row[0] for row in _forward(rows, inverse, [[e] for e in v])]
+    return _dot(y, y)
+
+
+def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
+    n, m = cross.shape
+    rows: list[list[Any]] = [[0.0] * m for _ in range(m)]
+    inverse: list[Any] = []
+    determinant: Any = 1.0
+    count: Any = 0.0
+    residuals = []
+    for k in range(m):
+        missing = isnan(v[k])
+        for j in range(k):
+            rows[k][j] = plain((S[k, j] - _dot(rows[k][:j], rows[j][:j])) * inverse[j])
+        pivot = S[k, k] - _dot(rows[k][:k], rows[k][:k])
+        inverse.append(where(missing, 0.0, 1.0 / sqrt(pivot)))
+        determinant = determinant * where(missing, 1.0, pivot)
+        count = count + where(missing, 0.0, 1.0)
+        residuals.append([where(missing, 0.0, v[k])])
+    y = [row[0] for row in _forward(rows, inverse, residuals)]
+    W = _forward(rows, inverse, [list(cross[:, k]) for k in range(m)])
+    column = [[w[i] for w in W] for i in range(n)]
+    new = _vector(mean[i] + _dot(column[i], y) for i in range(n))
+    total: Any = 0.0
+    for e in new:
+        total = total + e
+    # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
+    nis = where(less(absolute(total), math.inf), _dot(y, y), math.nan)
+    loglik = -0.5 * (nis + log(determinant) + LOG_TAU * count)
+    return new, _symmetric(n, lambda i, j: cov[i, j] - _dot(column[i], column[j])), nis, loglik, count

@@ -1,0 +1,72 @@
+"""The algebra over one run: matrices without batch axes, through BLAS and LAPACK."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from tracker.algebra import lanes
+from tracker.types import Columns
+
+LOG_TAU = lanes.LOG_TAU
+
+
+def _dense(H: Any) -> Any:
+    return H.dense() if isinstance(H, Columns) else H
+
+
+def congruence(F: Any, P: Any) -> Any:
+    F = _dense(F)
+    out = F.dot(P).dot(F.T)
+    return 0.5 * (out + out.T)
+
+
+def product(H: Any, P: Any) -> Any:
+    return _dense(H).dot(P)
+
+
+def symmetric_product(A: Any, H: Any) -> Any:
+    out = A.dot(_dense(H).T)
+    return 0.5 * (out + out.T)
+
+
+def factor(P: Any) -> Any:
+    L, info = dpotrf(P, 1, 1)
+    # Singular (or not finite): the rule of the lanes, on one lane.
+    return L if info == 0 else lanes.factor(P[..., None])[..., 0]
+
+
+def gain(cross: Any, S: Any) -> Any:
+    L, info = dpotrf(S, 1, 0)
+    if info:
+        return lanes.gain(cross[..., None], S[..., None])[..., 0]
+    whitened = dtrtrs(L, cross.T, 1)[0]
+    return dtrtrs(L, whitened, 1, 1)[0].T
+
+
+def mahalanobis(v: Any, S: Any) -> Any:
+    if v.ndim > 1:
+        return lanes.mahalanobis(v, S.reshape(S.shape + (1,) * (v.ndim - 1)))
+    return lanes.mahalanobis(v[:, None], S[..., None])[0]
+
+
+def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
+    HP = cross.T
+    if np.isnan(v).any():
+        seen = np.flatnonzero(~np.isnan(v))
+        if not len(seen):
+            zero = 0.0 * mean.sum()
+            return mean, cov, zero, zero, 0.0
+        v, HP, S = v[seen], HP[seen], S[np.ix_(seen, seen)]
+    L, info = dpotrf(S, 1, 0)
+    if info:  # not positive definite: NaN, as in a lane
+        nan = np.full_like(mean, math.nan)
+        return nan, np.full_like(cov, math.nan), math.nan, math.nan, float(len(v))
+    y = dtrtrs(L, v, 1)[0]
+    W = dtrtrs(L, HP, 1)[0]
+    nis = float(y.dot(y))
+    loglik = -0.5 * (nis + 2.0 * math.log(L.diagonal().prod()) + LOG_TAU * len(v))
+    return mean + y.dot(W), cov - W.T.dot(W), nis, loglik, float(len(v))

@@ -1,0 +1,107 @@
+"""Checks and cuts of the numbers that models are given: parameters, states, lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from tracker.errors import DomainError, ShapeError, wording
+from tracker.models.graph import Node
+from tracker.types import Array, ArrayLike, Space, as_array
+
+
+def checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Parameters as floats, float64 arrays or graph nodes, refusing NaN and inf."""
+    out: dict[str, Any] = {}
+    for name, value in parameters.items():
+        if isinstance(value, Node):
+            out[name] = value
+            continue
+        array = as_array(value, name)
+        if not np.isfinite(array).all():
+            raise DomainError(
+                wording(
+                    f"parameter {name!r}",
+                    got=f"{value}",
+                    expected="finite numbers",
+                    do="give a number, or an array with the batch shape",
+                )
+            )
+        out[name] = float(array) if array.ndim == 0 else array
+    return MappingProxyType(out)
+
+
+def positive(name: str, value: ArrayLike, *, unit: str = "", zero: bool = False) -> Any:
+    """``value`` if all of it is positive (or zero, when allowed).
+
+    Raises:
+        DomainError: naming the parameter, if not.
+    """
+    array = as_array(value, name)
+    good = (array >= 0) if zero else (array > 0)
+    if not (good & np.isfinite(array)).all():
+        raise DomainError(
+            wording(
+                f"parameter {name!r}",
+                got=f"{value}",
+                expected=f"a {'non-negative' if zero else 'positive'} number"
+                + (f" [{unit}]" if unit else ""),
+                do="check sign and unit",
+            )
+        )
+    return float(array) if array.ndim == 0 else array
+
+
+def one_of(name: str, value: object, choices: tuple[str, ...]) -> str:
+    """``value`` if it is one of the choices.
+
+    Raises:
+        DomainError: naming the parameter and the choices, if not.
+    """
+    if value not in choices:
+        raise DomainError(
+            wording(
+                f"parameter {name!r}",
+                got=repr(value),
+                expected=f"one of {', '.join(map(repr, choices))}",
+                do="pick one of them",
+            )
+        )
+    return str(value)
+
+
+def shaped(x: ArrayLike, space: Space, name: str, owner: str) -> Any:
+    """``x`` as an array whose leading axis has the size of ``space``; object arrays pass through."""
+    array: Array = x if isinstance(x, np.ndarray) else as_array(x, name)
+    if array.ndim == 0 or array.shape[0] != space.size:
+        raise ShapeError(
+            wording(
+                f"argument {name!r} of {owner!r}",
+                got=f"shape {array.shape}",
+                expected=f"({space.size}, *batch): {space}",
+                do="put the components on the leading axis",
+            )
+        )
+    if array.dtype != np.float64 and array.dtype != object:
+        return as_array(array, name)
+    return array
+
+
+def lanes_of(parameters: Mapping[str, Any], index: Any) -> Mapping[str, Any]:
+    """Parameters with those that differ per lane cut to ``index`` of their last axis."""
+    if not any(isinstance(v, np.ndarray) for v in parameters.values()):
+        return parameters
+    return {
+        k: v[..., index] if isinstance(v, np.ndarray) and v.shape[-1] > 1 else v
+        for k, v in parameters.items()
+    }
+
+
+def filled(value: Any, lead: int, batch: tuple[int, ...]) -> Any:
+    """``value``, of ``lead`` component axes, with shared batch axes repeated (as a view)."""
+    if value.shape[lead:] == batch:
+        return value
+    return np.broadcast_to(value, value.shape[:lead] + np.broadcast_shapes(value.shape[lead:], batch))

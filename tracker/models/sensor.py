@@ -1,0 +1,204 @@
+"""The sensor that follows from an author's component functions; no particular sensor lives here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.algebra import residual
+from tracker.errors import CapabilityError, ShapeError, wording
+from tracker.models.component import Author, ComponentFunction
+from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped
+from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Space
+
+
+def _function(author: str) -> Any:
+    def build(self: ComponentSensor) -> ComponentFunction:
+        return ComponentFunction(getattr(self, author), self.state.names, f"sensor {self.name!r}")
+
+    return attrs.Factory(build, takes_self=True)
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class ComponentSensor:
+    """A sensor written as two plain functions of named components.
+
+    ``measure(x, y, ..., *, pose and parameters)`` returns the noise-free measurement, one entry
+    per component of ``space``. ``noise(..., *, pose and parameters)`` returns the covariance R as
+    rows. Positional parameters name components of ``state``; keyword-only ones name components of
+    ``pose_space`` or entries of ``parameters``. Functions from `tracker.models` make it traceable;
+    one that cannot be traced still measures, but has no derivatives unless ``derivative``, a
+    function with the signature of ``measure`` that returns rows, gives them.
+
+    Shapes:
+        x ``(n, *batch)``; pose ``(p,)`` or ``(p, *batch)``; parameters scalars or ``(*batch)``.
+    Raises:
+        CapabilityError: when ``state`` lacks a component that ``measure`` names.
+    Laws:
+        those of kind "sensor" in `tracker.testing`.
+
+    Example:
+    >>> from tracker.models import atan2
+    >>> def measure(x, y, *, sx, sy):
+    ...     return (atan2(y - sy, x - sx),)
+    >>> def noise(*, sigma):
+    ...     return ((sigma**2,),)
+    >>> sensor = ComponentSensor(
+    ...     name="azimuth", measure=measure, noise=noise, parameters={"sigma": 0.1},
+    ...     space=Space.of("azimuth [rad] circular"), pose_space=Space.of("sx [m]", "sy [m]"))
+    >>> sensor.h([3.0, 4.0, 0.0, 0.0], pose=[3.0, 0.0]).round(4)
+    array([1.5708])
+    """
+
+    name: str
+    measure: Author
+    noise: Author
+    space: Space
+    pose_space: Space = EMPTY_SPACE
+    state: Space = PLANAR
+    parameters: Mapping[str, Any] = attrs.field(factory=dict, converter=checked_parameters)
+    derivative: Author | None = None
+    _measure: ComponentFunction = attrs.field(init=False, repr=False, default=_function("measure"))
+    _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
+    _circular: bool | tuple[bool, ...] = attrs.field(init=False, repr=False)
+
+    @_circular.default
+    def _all_or_some(self) -> bool | tuple[bool, ...]:
+        flags = self.space.circular
+        return all(flags) if len(set(flags)) < 2 else flags  # noqa: PLR2004 - all alike
+
+    def __attrs_post_init__(self) -> None:
+        known = {*self.pose_space.names, *self.parameters}
+        asked = {*self._measure.keywords, *self._noise.keywords}
+        if asked - known:
+            raise CapabilityError(
+                wording(
+                    f"sensor {self.name!r}",
+                    got=f"functions that ask for {', '.join(sorted(asked - known))}",
+                    expected=f"names among pose and parameters ({', '.join(sorted(known))})",
+                    do="add them to pose_space or to parameters",
+                )
+            )
+        if self._measure.traced and len(self._measure.trace.roots) != self.space.size:
+            raise ShapeError(
+                wording(
+                    f"sensor {self.name!r}: measure",
+                    got=f"{len(self._measure.trace.roots)} components",
+                    expected=f"{self.space.size}, as space is ({self.space})",
+                    do="return one entry per component of space",
+                )
+            )
+
+    # ------------------------------------------------------------------ the protocol
+    def h(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
+        """The noise-free measurement of ``x``, ``(m, *batch)``."""
+        state = shaped(x, self.state, "x", self.name)
+        return filled(self._measure.evaluate(state, self._keywords(pose)), 1, state.shape[1:])
+
+    def jacobian(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
+        """Derivatives of `h` by the state, ``(m, n, *batch)``."""
+        state = shaped(x, self.state, "x", self.name)
+        return filled(self._first(state, self._keywords(pose)), 2, state.shape[1:])
+
+    def hessian(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
+        """Second derivatives of `h` by the state, ``(m, n, n, *batch)``."""
+        state = shaped(x, self.state, "x", self.name)
+        self._need_trace("a Hessian")
+        second = self._measure.second(state, self._keywords(pose))
+        return filled(second, 3, state.shape[1:])
+
+    def linearise(self, x: ArrayLike, pose: ArrayLike | None = None) -> tuple[Any, Any]:
+        """`h` and its Jacobian together; the Jacobian in the sparse form that the algebra takes."""
+        state = shaped(x, self.state, "x", self.name)
+        keywords = self._keywords(pose)
+        if self.derivative is not None:
+            return self._measure.evaluate(state, keywords), self._first(state, keywords)
+        self._need_trace("a Jacobian")
+        return self._measure.linearise(state, keywords)
+
+    def R(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:  # noqa: N802
+        """Measurement noise, ``(m, m, *batch)``; axes of length 1 where all lanes share it."""
+        return self._noise.evaluate(shaped(x, self.state, "x", self.name), self._keywords(pose))
+
+    def residual(self, z: Array, zhat: Array) -> Any:
+        """``z - zhat``, wrapped where the measurement lives on a circle."""
+        return residual(z, zhat, self._circular)
+
+    # -------------------------------------------------------------- another one like it
+    def over(self, state: Space) -> ComponentSensor:
+        """The same sensor reading states of another space; components are found by name."""
+        return self if state == self.state else attrs.evolve(self, state=state)
+
+    def at(self, **pose: Any) -> ComponentSensor:
+        """The same sensor standing still: the named pose components become parameters."""
+        for name in pose:
+            self.pose_space.index(name)
+        rest = Space(tuple(axis for axis in self.pose_space if axis.name not in pose))
+        return attrs.evolve(self, pose_space=rest, parameters={**self.parameters, **pose})
+
+    def with_parameters(self, **parameters: Any) -> ComponentSensor:
+        """The same sensor with other parameter values, scalars or ``(*batch)``."""
+        for name in parameters:
+            if name not in self.parameters:
+                raise CapabilityError(
+                    f"sensor {self.name!r} has no parameter {name!r}; it has "
+                    f"{', '.join(self.parameters) or 'none'}."
+                )
+        return attrs.evolve(self, parameters={**self.parameters, **parameters})
+
+    def lanes(self, index: Any) -> ComponentSensor:
+        """The same sensor with per-lane parameters cut to some lanes."""
+        cut = lanes_of(self.parameters, index)
+        return self if cut is self.parameters else attrs.evolve(self, parameters=cut)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the derivative of `h` does not depend on the state."""
+        return self._measure.linear
+
+    @property
+    def why_opaque(self) -> str:
+        """Why this sensor cannot be traced, or ''."""
+        return self._measure.why_opaque or self._noise.why_opaque
+
+    # ---------------------------------------------------------------------- inside
+    def _keywords(self, pose: ArrayLike | None) -> Mapping[str, Any]:
+        names = self.pose_space.names
+        if not names:
+            return self.parameters
+        if pose is None or np.shape(pose)[:1] != (len(names),):
+            raise ShapeError(
+                wording(
+                    f"argument 'pose' of sensor {self.name!r}",
+                    got="nothing" if pose is None else f"shape {np.shape(pose)}",
+                    expected=f"({len(names)}, *batch): {self.pose_space}",
+                    do="pass the pose, or fix it once with .at("
+                    + ", ".join(f"{n}=..." for n in names)
+                    + ")",
+                )
+            )
+        values = pose.tolist() if isinstance(pose, np.ndarray) and pose.ndim == 1 else pose
+        return {**self.parameters, **dict(zip(names, values, strict=True))}  # type: ignore[arg-type]
+
+    def _first(self, state: Any, keywords: Mapping[str, Any]) -> Any:
+        if self.derivative is not None:
+            function = ComponentFunction(self.derivative, self.state.names, f"sensor {self.name!r}")
+            small = function.evaluate(state, keywords)
+            if function.places == tuple(range(self.state.size)):
+                return small
+            dense = np.zeros((small.shape[0], self.state.size, *small.shape[2:]), dtype=small.dtype)
+            dense[:, function.places] = small
+            return dense
+        self._need_trace("a Jacobian")
+        return self._measure.first(state, keywords)
+
+    def _need_trace(self, what: str) -> None:
+        if not self._measure.traced:
+            raise CapabilityError(
+                f"sensor {self.name!r} has no {what.split()[-1]}: its function cannot be traced "
+                f"({self._measure.why_opaque}). Write it with functions from tracker.models, "
+                "pass derivative=..., or use a filter that needs no derivatives."
+            )

@@ -1,0 +1,338 @@
+"""Every contract between components: read this first. Nothing here computes anything.
+
+Letters: ``n`` state components, ``m`` measurement components, ``p`` pose components, ``q`` input
+components, ``*batch`` any trailing axes, possibly none. Components come first, batch axes last.
+SI units, radians, seconds, float64. "Shared": an axis of the batch may have length 1 where all
+lanes have the same value, and must then be there: ``(n, n, 1)``, never ``(n, n)``, beside a state of
+shape ``(n, 1000)``.
+
+A component is any object with these methods; nothing is inherited. The laws named below are checked
+by `tracker.testing`; ``tracker check NAME`` prints them. Three ways to be a good citizen:
+
+* be a value: no method changes the object, no argument is modified, no state is kept;
+* be a batch: ``f(x)[..., i] == f(x[..., i])`` for any batch shape, ``()`` and ``(2, 0)`` included;
+* be explicit: time step, input and pose are arguments, randomness is an argument called ``rng``.
+
+Models written as component functions (`tracker.models.ComponentMotion`, `ComponentSensor`) have all
+optional capabilities at once: derivatives, Hessians, joint linearisation, tracing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from tracker.types import (
+    Array,
+    Association,
+    Gaussian,
+    History,
+    Innovation,
+    Projection,
+    Record,
+    Scan,
+    Space,
+    Tracks,
+)
+
+
+# ------------------------------------------------------------------------------------- models
+@runtime_checkable
+class MotionModel(Protocol):
+    """How a state changes in ``dt`` seconds, and how uncertain that is.
+
+    Laws: the Jacobian is the derivative of f; Q is symmetric positive semi-definite; two half steps
+    equal one step, in f and in Q; dt = 0 is the identity with Q = 0.
+    """
+
+    @property
+    def space(self) -> Space:
+        """The state space, ``n`` components."""
+        ...
+
+    def f(self, x: Array, dt: Any, u: Any = None, t: Any = None) -> Array:
+        """State after dt: x ``(n, *batch)``, dt scalar or ``(*batch)``, u ``(q, *batch)`` or None,
+        t the time at the start of the step. Returns ``(n, *batch)``.
+        """
+        ...
+
+    def jacobian(self, x: Array, dt: Any, u: Any = None, t: Any = None) -> Array:
+        """Derivative of f by the state, ``(n, n, *batch)``, shared axes allowed."""
+        ...
+
+    def Q(self, x: Array, dt: Any) -> Array:  # noqa: N802 - the field's letter
+        """Covariance of the process noise of the step, ``(n, n, *batch)``, shared axes allowed."""
+        ...
+
+
+@runtime_checkable
+class SensorModel(Protocol):
+    """What a sensor at ``pose`` measures of a state, and how noisily.
+
+    Laws: the Jacobian is the derivative of h *through* `residual`; `residual` wraps at the cut; R is
+    symmetric positive semi-definite.
+    """
+
+    @property
+    def space(self) -> Space:
+        """The measurement space, ``m`` components; it knows which of them are circular."""
+        ...
+
+    @property
+    def pose_space(self) -> Space:
+        """The pose the sensor is given at each step, ``p`` components; empty if it stands still."""
+        ...
+
+    @property
+    def state(self) -> Space:
+        """The state space that x must be in."""
+        ...
+
+    def h(self, x: Array, pose: Any = None) -> Array:
+        """Noise-free measurement: x ``(n, *batch)``, pose ``(p,)`` or ``(p, *batch)``.
+        Returns ``(m, *batch)``.
+        """
+        ...
+
+    def jacobian(self, x: Array, pose: Any = None) -> Array:
+        """Derivative of h by the state, ``(m, n, *batch)``, shared axes allowed."""
+        ...
+
+    def R(self, x: Array, pose: Any = None) -> Array:  # noqa: N802 - the field's letter
+        """Covariance of the measurement noise, ``(m, m, *batch)``, shared axes allowed."""
+        ...
+
+    def residual(self, z: Array, zhat: Array) -> Array:
+        """``z - zhat``, wrapped where circular: the only legal subtraction of measurements."""
+        ...
+
+
+# Optional capabilities. A pipeline checks them when it is built and names them in its error.
+@runtime_checkable
+class HasHessian(Protocol):
+    """Second derivatives ``(m, n, n, *batch)``, for second-order filters."""
+
+    def hessian(self, x: Array, *arguments: Any) -> Array:
+        """Second derivatives by the state."""
+        ...
+
+
+@runtime_checkable
+class HasLinearise(Protocol):
+    """Value and Jacobian in one call, the Jacobian as an array or as `tracker.types.Columns`."""
+
+    def linearise(self, x: Array, *arguments: Any) -> tuple[Array, Any]:
+        """Value and Jacobian together: nothing is computed twice."""
+        ...
+
+
+@runtime_checkable
+class HasComponents(Protocol):
+    """Written over components, so that it can run on graph nodes and be compiled."""
+
+    @property
+    def why_opaque(self) -> str:
+        """'' if it can be traced, else the reason."""
+        ...
+
+
+@runtime_checkable
+class Invertible(Protocol):
+    """A sensor whose measurement gives a first estimate of the state."""
+
+    def prior(self, z: Array, pose: Any = None) -> Gaussian:
+        """A Gaussian over the state from one measurement ``(m, *batch)``."""
+        ...
+
+
+# ------------------------------------------------------------------------------------ filters
+class Belief(Protocol):
+    """The state of a filter: a Gaussian, a square root, a mixture, particles."""
+
+    def moments(self) -> Gaussian:
+        """Mean and covariance."""
+        ...
+
+
+S = TypeVar("S", bound=Belief)
+
+
+class Filter(Protocol[S]):
+    """Bayes' rule, approximated: predict through a motion, update with a measurement.
+
+    A Gaussian filter writes these three over the verbs of `tracker.algebra`, once; the same methods
+    then run on arrays of lanes, on one run, and on graph nodes.
+
+    Laws: covariances stay symmetric positive semi-definite; equal to the Kalman filter on
+    linear-Gaussian problems; a NaN component equals a sensor without it; NIS and NEES lie in their
+    chi-square bands on matched models.
+    """
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Capabilities that motion and sensor must have: 'jacobian', 'hessian', 'linear'."""
+        ...
+
+    def predict(self, state: S, motion: MotionModel, dt: Any, u: Any = None, t: Any = None) -> S:
+        """The state ``dt`` seconds later."""
+        ...
+
+    def project(self, state: S, sensor: SensorModel, pose: Any = None) -> Projection:
+        """The measurement that the state predicts, for gate, associator and update alike."""
+        ...
+
+    def update(
+        self,
+        state: S,
+        sensor: SensorModel,
+        z: Any,
+        pose: Any = None,
+        projection: Projection | None = None,
+    ) -> tuple[S, Innovation]:
+        """The state after measurement z ``(m, *batch)``; given a projection, it is not recomputed."""
+        ...
+
+
+class Smoother(Protocol):
+    """Estimates given the whole record instead of its past.
+
+    Laws: the last step equals the filter; in the linear-Gaussian case the result is the batch
+    least-squares solution.
+    """
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Capabilities that the motion must have."""
+        ...
+
+    def smooth(self, history: History, motion: MotionModel) -> History:
+        """The history with its ``smoothed`` trajectory filled in."""
+        ...
+
+
+A = TypeVar("A")
+
+
+class NoiseAdapter(Protocol[A]):
+    """Re-tunes noise from innovations; returns new models, never changes the ones it was given.
+
+    Laws: Q and R stay positive semi-definite; matched noise is a fixed point in expectation.
+    """
+
+    def init(self, motion: MotionModel, sensor: SensorModel) -> A:
+        """What the adapter remembers before the first step."""
+        ...
+
+    def adapt(
+        self, memory: A, innovation: Innovation, motion: MotionModel, sensor: SensorModel
+    ) -> tuple[A, MotionModel, SensorModel]:
+        """Memory and models for the next step."""
+        ...
+
+
+# -------------------------------------------------------------------------------- association
+class Gate(Protocol):
+    """Which detections could belong to which track.
+
+    Laws: a larger probability gates no less; the threshold depends only on m.
+    """
+
+    def threshold(self, m: int) -> float:
+        """Largest squared Mahalanobis distance that passes, for m measured components."""
+        ...
+
+    def admits(self, distance: Array, m: int) -> npt.NDArray[np.bool_]:
+        """Flags for squared distances of any shape; NaN never passes."""
+        ...
+
+
+class Associator(Protocol):
+    """Who measured whom.
+
+    Laws: rows of the weights sum to one; a detection is given away at most once; pairs outside the
+    gate have weight exactly zero; the answer follows a permutation of tracks or detections.
+    """
+
+    def associate(self, distance: Array, admitted: npt.NDArray[np.bool_]) -> Association:
+        """From squared distances and gate flags, both ``(tracks, D, *batch)``."""
+        ...
+
+
+class Initiator(Protocol):
+    """Starts tracks from detections that nobody claimed."""
+
+    def start(self, scan: Scan, unclaimed: npt.NDArray[np.bool_], sensor: SensorModel) -> Tracks:
+        """New tracks, possibly none."""
+        ...
+
+
+class Deleter(Protocol):
+    """Decides which tracks have ended."""
+
+    def keep(self, tracks: Tracks) -> npt.NDArray[np.bool_]:
+        """One flag per track."""
+        ...
+
+
+# ----------------------------------------------------------------------- optimisers, planners
+class Optimiser(Protocol[A]):
+    """Ask for a population, tell its cost; minimises.
+
+    Laws: stays in bounds; the best so far never gets worse; the budget is exact; adding a constant
+    to the cost changes nothing.
+    """
+
+    def init(self, bounds: Array, *, rng: np.random.Generator) -> A:
+        """Start inside ``bounds (d, 2)``."""
+        ...
+
+    def ask(self, memory: A) -> Array:
+        """Candidates ``(d, population)``."""
+        ...
+
+    def tell(self, memory: A, cost: Array, *, rng: np.random.Generator) -> A:
+        """Learn the cost ``(objectives, population)`` of the candidates."""
+        ...
+
+
+class ObserverPath(Protocol):
+    """Where an observer is at each time."""
+
+    def pose(self, t: Any) -> Array:
+        """Pose ``(p, *t.shape)``."""
+        ...
+
+
+class Planner(Protocol):
+    """Chooses where an observer goes next. Law: it obeys its limits."""
+
+    def plan(self, belief: Belief, pose: Array, t: float, horizon: float) -> ObserverPath:
+        """A path from ``pose`` at time ``t``, good for ``horizon`` seconds."""
+        ...
+
+
+# ---------------------------------------------------------------------------------- scenarios
+class Scenario(Protocol):
+    """A problem with a known answer: what is simulated, and what an estimator is told about it."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the registry."""
+        ...
+
+    @property
+    def motion(self) -> MotionModel:
+        """The motion model that an estimator should assume."""
+        ...
+
+    @property
+    def sensor(self) -> SensorModel | Sequence[SensorModel]:
+        """The sensor, or sensors, that measured."""
+        ...
+
+    def simulate(self, streams: Mapping[str, Sequence[np.random.Generator]]) -> tuple[Array, Record]:
+        """True states ``(T, n, runs)`` and the record, from one generator per run and component."""
+        ...
