@@ -1,6 +1,7 @@
 """Detection logs: what is read, what is refused, and what the message says."""
 
 import gzip
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,7 @@ def test_truth_and_ownship_are_paths_of_east_and_north(tmp_path: Path) -> None:
     assert log.ownship.t.tolist() == [0.0, 0.5, 2.0]
     assert log.ownship.at(1.25).tolist() == [20.75, 10.75]
     assert log.notes == ()
+    assert pickle.loads(pickle.dumps(log)).truth["boat"].t.tolist() == [0.0, 10.0]
 
 
 def test_outside_its_span_a_path_is_unknown() -> None:

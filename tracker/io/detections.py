@@ -214,7 +214,7 @@ def read_detection_log(
     # Scans of one time share one pose: ownship cannot be in two places.
     poses = {row.t: row.pose for _, row in reversed(ordered)}
     ownship = TruthTrack(sorted(poses), np.transpose([poses[t] for t in sorted(poses)]))
-    return DetectionLog(scans, chosen, MappingProxyType(truth), ownship, tuple(notes))
+    return DetectionLog(scans, chosen, truth, ownship, tuple(notes))
 
 
 @attrs.frozen
