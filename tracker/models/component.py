@@ -215,6 +215,15 @@ class ComponentFunction:
             self._trace = _traced(self.author)
         return self._trace
 
+    def __getstate__(self) -> dict[str, Any]:
+        kept = (name for name in self.__slots__ if name not in ("_forms", "_trace"))
+        return {name: getattr(self, name) for name in kept}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
+        self._trace, self._forms = None, {}  # made again where they arrive
+
     @property
     def traced(self) -> bool:
         """Whether the function ran on graph nodes; if not, `why_opaque` says why."""

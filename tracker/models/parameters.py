@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -11,6 +12,18 @@ import numpy as np
 from tracker.errors import DomainError, ShapeError, wording
 from tracker.models.graph import Node
 from tracker.types import Array, ArrayLike, Space, as_array
+
+
+def _read_only(values: dict[str, Any]) -> Mapping[str, Any]:
+    return MappingProxyType(values)
+
+
+def _reduced(view: Mapping[str, Any]) -> Any:
+    return _read_only, (dict(view),)
+
+
+# Read-only views do not pickle by themselves, and models must.
+copyreg.pickle(MappingProxyType, _reduced)
 
 
 def checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -55,7 +68,7 @@ def positive(name: str, value: ArrayLike, *, unit: str = "", zero: bool = False)
     return float(array) if array.ndim == 0 else array
 
 
-def one_of(name: str, value: object, choices: tuple[str, ...]) -> str:
+def one_of(name: str, value: object, choices: tuple[object, ...]) -> str:
     """``value`` if it is one of the choices.
 
     Raises:
