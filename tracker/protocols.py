@@ -19,7 +19,7 @@ optional capabilities at once: derivatives, Hessians, joint linearisation, traci
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -32,7 +32,6 @@ from tracker.types import (
     History,
     Innovation,
     Projection,
-    Record,
     Scan,
     Space,
     Tracks,
@@ -333,6 +332,8 @@ class Scenario(Protocol):
         """The sensor, or sensors, that measured."""
         ...
 
-    def simulate(self, streams: Mapping[str, Sequence[np.random.Generator]]) -> tuple[Array, Record]:
-        """True states ``(T, n, runs)`` and the record, from one generator per run and component."""
+    def simulate(self, seed: int, runs: int | Sequence[int] = 1, *, condition: int = 0) -> Any:
+        """A `tracker.simulation.Simulation` of some runs; the same seed, run and condition give the
+        same bits in any company.
+        """
         ...

@@ -231,7 +231,7 @@ def _checked_covariance(cov: Array, mean: Array) -> Array:
     return cov
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, init=False)
 class Gaussian:
     """A normal distribution, or a batch of them.
 
@@ -310,7 +310,7 @@ class Gaussian:
     def sample(self, count: int | None = None, *, rng: np.random.Generator) -> Array:
         """Draws, ``(n, *batch)``, or ``(n, count, *batch)`` when ``count`` is given."""
         shape = self.batch if count is None else (count, *self.batch)
-        root = _square_root(self.cov)
+        root = square_root(self.cov)
         normals = rng.standard_normal((self.n, *shape))
         if count is None:
             return self.mean + np.einsum("ij...,j...->i...", root, normals)  # type: ignore[no-any-return]
@@ -326,8 +326,8 @@ class Gaussian:
         return f"<table><tr><th>component</th><th>mean</th><th>sigma</th></tr>{rows}</table>"
 
 
-def _square_root(cov: Array) -> Array:
-    """A root A with A A' = cov, for singular matrices too, by eigenvalues."""
+def square_root(cov: Array) -> Array:
+    """A root A with ``A A' = cov``, ``(n, n, *batch)``, for singular matrices too."""
     values, vectors = np.linalg.eigh(np.moveaxis(cov, (0, 1), (-2, -1)))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return np.moveaxis(root, (-2, -1), (0, 1))
@@ -369,7 +369,7 @@ def _no_infinity(z: Array, name: str) -> None:
         )
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, init=False)
 class Record:
     """Measurements of one target per lane over time; association is known.
 
@@ -478,7 +478,7 @@ class Record:
         return int(self.z.shape[0])
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, init=False)
 class Scan:
     """The detections of one sensor at one time, before association.
 

@@ -1,4 +1,4 @@
-"""Position of the target in the frame of the state, in 2-D or 3-D; no pose belongs here."""
+"""Position of the target in the frame of the state, in 1-D to 3-D; no pose belongs here."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ from tracker.models import ComponentSensor, diagonal, one_of, positive
 from tracker.types import PLANAR, SPATIAL, ArrayLike, Space
 
 
+def _measure_1(x: Any) -> Any:
+    return (x,)
+
+
 def _measure_2(x: Any, y: Any) -> Any:
     return (x, y)
 
 
 def _measure_3(x: Any, y: Any, z: Any) -> Any:
     return (x, y, z)
+
+
+def _noise_1(*, sigma: Any) -> Any:
+    return diagonal(sigma**2)
 
 
 def _noise_2(*, sigma: Any) -> Any:
@@ -26,6 +34,10 @@ def _noise_3(*, sigma: Any) -> Any:
     return diagonal(sigma**2, sigma**2, sigma**2)
 
 
+def _noise_x(*, sigma_x: Any) -> Any:
+    return diagonal(sigma_x**2)
+
+
 def _noise_xy(*, sigma_x: Any, sigma_y: Any) -> Any:
     return diagonal(sigma_x**2, sigma_y**2)
 
@@ -34,9 +46,10 @@ def _noise_xyz(*, sigma_x: Any, sigma_y: Any, sigma_z: Any) -> Any:
     return diagonal(sigma_x**2, sigma_y**2, sigma_z**2)
 
 
-_MEASURE: dict[int, Callable[..., Any]] = {2: _measure_2, 3: _measure_3}
-_SHARED: dict[int, Callable[..., Any]] = {2: _noise_2, 3: _noise_3}
-_EACH: dict[int, Callable[..., Any]] = {2: _noise_xy, 3: _noise_xyz}
+_MEASURE: dict[int, Callable[..., Any]] = {1: _measure_1, 2: _measure_2, 3: _measure_3}
+_SHARED: dict[int, Callable[..., Any]] = {1: _noise_1, 2: _noise_2, 3: _noise_3}
+_EACH: dict[int, Callable[..., Any]] = {1: _noise_x, 2: _noise_xy, 3: _noise_xyz}
+_STATE = {1: Space.of("x [m]", "vx [m/s]"), 2: PLANAR, 3: SPATIAL}
 
 
 def position(
@@ -56,7 +69,7 @@ def position(
         m.
 
     Raises:
-        DomainError: if a sigma is not positive, or ``axes`` is neither 2 nor 3.
+        DomainError: if a sigma is not positive, or ``axes`` is not 1, 2 or 3.
         ShapeError: if the number of sigmas is not the number of axes.
     Reference:
         paper 1, eq. (7); paper 4, eq. (3-12).
@@ -68,7 +81,7 @@ def position(
     >>> sensor.h([5.0, 6.0, 0.0, 0.0]).tolist(), sensor.R([5.0, 6.0, 0.0, 0.0]).tolist()
     ([5.0, 6.0], [[4.0, 0.0], [0.0, 9.0]])
     """
-    one_of("axes", axes, (2, 3))
+    one_of("axes", axes, (1, 2, 3))
     if isinstance(sigma, (tuple, list)):
         if len(sigma) != axes:
             raise ShapeError(
@@ -89,7 +102,7 @@ def position(
         name="position",
         measure=_MEASURE[axes],
         noise=(_SHARED if "sigma" in parameters else _EACH)[axes],
-        space=Space.of("x [m]", "y [m]", "z [m]") if axes == 3 else Space.of("x [m]", "y [m]"),
-        state=state or (SPATIAL if axes == 3 else PLANAR),
+        space=Space(_STATE[axes].axes[:axes]),
+        state=state or _STATE[axes],
         parameters=parameters,
     )

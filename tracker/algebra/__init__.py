@@ -37,6 +37,7 @@ __all__ = [
     "residual",
     "symmetric_product",
     "transpose",
+    "without_missing",
     "wrap",
 ]
 
@@ -130,6 +131,15 @@ def gain(cross: Any, S: Any) -> Any:
         cross ``(n, m, *batch)``; S ``(m, m, *batch)``; result ``(n, m, *batch)``.
     """
     return _of(S).gain(cross, S)
+
+
+def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
+    """S and cross with the components whose residual is NaN made inert: unit variance, uncorrelated.
+
+    Shapes:
+        S ``(m, m, *batch)``; cross ``(n, m, *batch)``; v ``(m, *batch)``.
+    """
+    return (components if S.dtype == object else lanes).without_missing(S, cross, v)
 
 
 def mahalanobis(v: Any, S: Any) -> Any:

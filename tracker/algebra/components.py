@@ -137,6 +137,16 @@ def mahalanobis(v: Any, S: Any) -> Any:
     return _dot(y, y)
 
 
+def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
+    n, m = cross.shape
+    seen = [where(isnan(e), 0.0, 1.0) for e in v]
+
+    def entry(a: int, b: int) -> Any:
+        return where(isnan(v[a]), 1.0, S[a, a]) if a == b else seen[a] * seen[b] * S[a, b]
+
+    return _symmetric(m, entry), _matrix(n, m, lambda i, a: seen[a] * cross[i, a])
+
+
 def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
     n, m = cross.shape
     rows: list[list[Any]] = [[0.0] * m for _ in range(m)]

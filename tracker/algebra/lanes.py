@@ -137,6 +137,14 @@ def mahalanobis(v: Any, S: Any) -> Any:
     return total
 
 
+def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
+    missing = np.isnan(v)
+    if not missing.any():
+        return S, cross
+    unit = np.eye(len(v)).reshape(len(v), len(v), *(1,) * (v.ndim - 1))
+    return np.where(missing[:, None] | missing, unit, S), np.where(missing, 0.0, cross)
+
+
 def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
     m = len(v)
     missing = np.isnan(v)

@@ -86,7 +86,7 @@ def diagonal(*entries: Any) -> tuple[tuple[Any, ...], ...]:
 def __getattr__(name: str) -> Any:
     # The model classes stand on the algebra, which itself needs the functions above.
     if name in _LAZY:
-        from importlib import import_module  # noqa: PLC0415
+        from importlib import import_module
 
         return getattr(import_module(_LAZY[name]), name)
     raise AttributeError(f"module 'tracker.models' has no attribute {name!r}")

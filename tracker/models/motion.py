@@ -99,7 +99,7 @@ class ComponentMotion:
         self._need_trace("a Jacobian")
         return self._advance.linearise(state, self._keywords(dt, u, t))
 
-    def Q(self, x: ArrayLike, dt: Any) -> Any:  # noqa: N802
+    def Q(self, x: ArrayLike, dt: Any) -> Any:
         """Process noise of a step, ``(n, n, *batch)``; axes of length 1 where all lanes share it."""
         state = shaped(x, self.space, "x", self.name)
         return self._noise.evaluate(state, self._keywords(dt, None, None))
@@ -151,7 +151,7 @@ class ComponentMotion:
     def _need_trace(self, what: str) -> None:
         if not self._advance.traced:
             raise CapabilityError(
-                f"motion {self.name!r} has no {what.split()[-1]}: its function cannot be traced "
+                f"motion {self.name!r} has no {what.rsplit(maxsplit=1)[-1]}: its function cannot be traced "
                 f"({self._advance.why_opaque}). Write it with functions from tracker.models, "
                 "or use a filter that needs no derivatives."
             )

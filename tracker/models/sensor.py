@@ -35,6 +35,7 @@ class ComponentSensor:
 
     Shapes:
         x ``(n, *batch)``; pose ``(p,)`` or ``(p, *batch)``; parameters scalars or ``(*batch)``.
+
     Raises:
         CapabilityError: when ``state`` lacks a component that ``measure`` names.
     Laws:
@@ -68,7 +69,7 @@ class ComponentSensor:
     @_circular.default
     def _all_or_some(self) -> bool | tuple[bool, ...]:
         flags = self.space.circular
-        return all(flags) if len(set(flags)) < 2 else flags  # noqa: PLR2004 - all alike
+        return all(flags) if len(set(flags)) < 2 else flags
 
     def __attrs_post_init__(self) -> None:
         known = {*self.pose_space.names, *self.parameters}
@@ -119,7 +120,7 @@ class ComponentSensor:
         self._need_trace("a Jacobian")
         return self._measure.linearise(state, keywords)
 
-    def R(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:  # noqa: N802
+    def R(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
         """Measurement noise, ``(m, m, *batch)``; axes of length 1 where all lanes share it."""
         return self._noise.evaluate(shaped(x, self.state, "x", self.name), self._keywords(pose))
 
@@ -198,7 +199,7 @@ class ComponentSensor:
     def _need_trace(self, what: str) -> None:
         if not self._measure.traced:
             raise CapabilityError(
-                f"sensor {self.name!r} has no {what.split()[-1]}: its function cannot be traced "
+                f"sensor {self.name!r} has no {what.rsplit(maxsplit=1)[-1]}: its function cannot be traced "
                 f"({self._measure.why_opaque}). Write it with functions from tracker.models, "
                 "pass derivative=..., or use a filter that needs no derivatives."
             )

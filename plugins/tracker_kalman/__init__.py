@@ -1,0 +1,18 @@
+"""Kalman-type filters and their smoothers, one module per published method."""
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "ExtendedKalmanFilter": "ekf1",
+    "JosephFilter": "joseph",
+    "KalmanFilter": "kf",
+    "RauchTungStriebel": "rts",
+}
+__all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"tracker_kalman.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'tracker_kalman' has no attribute {name!r}")

@@ -1,0 +1,513 @@
+"""Filtering and smoothing a record of one target per lane: the loop that everyone reads.
+
+Association, several targets and campaigns live elsewhere. An `Estimator` is a filter with the
+models it works on; `filter` and `smooth` run it over a `Record`; `Estimator.step` runs it on line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.errors import CapabilityError, DomainError, ShapeError, wording
+from tracker.protocols import Filter, MotionModel, SensorModel, Smoother
+from tracker.registry import Component
+from tracker.types import ArrayLike, Gaussian, History, Innovation, Record, Trajectory
+
+LANE_BYTES = 128_000
+"""Temporaries above this size page-fault: lanes are worked in tiles of this many bytes of P."""
+
+
+# ------------------------------------------------------------------------------ capabilities
+def missing_capabilities(component: Any, needs: Sequence[str]) -> list[str]:
+    """Which of the named capabilities a model lacks: 'jacobian', 'hessian', 'linear'."""
+    absent = []
+    for need in needs:
+        if need == "linear":
+            has = bool(getattr(component, "linear", False))
+        elif need in ("jacobian", "hessian"):
+            opaque = bool(getattr(component, "why_opaque", ""))
+            by_hand = getattr(component, "derivative", None) is not None and need == "jacobian"
+            has = hasattr(component, need) and (not opaque or by_hand)
+        else:
+            has = hasattr(component, need)
+        if not has:
+            absent.append(need)
+    return absent
+
+
+_MEANS = {
+    "jacobian": "a Jacobian",
+    "hessian": "a Hessian",
+    "linear": "a linear model",
+}
+
+
+def check_capabilities(user: str, needs: Sequence[str], role: str, component: Any) -> None:
+    """Refuse a model that lacks what a filter or smoother needs.
+
+    Raises:
+        CapabilityError: naming both sides and the ways out.
+    """
+    absent = missing_capabilities(component, needs)
+    if not absent:
+        return
+    name = getattr(component, "name", type(component).__name__)
+    reason = getattr(component, "why_opaque", "")
+    raise CapabilityError(
+        f"{user} needs {' and '.join(_MEANS.get(a, a) for a in absent)}, which {role} {name!r} does "
+        f"not provide{f' ({reason})' if reason else ''}. Write the model over components so that "
+        "derivatives follow, give them by hand, or use a filter that does not need them "
+        "(`tracker list filter`)."
+    )
+
+
+# --------------------------------------------------------------------------------- estimator
+@attrs.frozen(eq=False, kw_only=True)
+class Estimator:
+    """A filter, the models it works on, and the smoother that may follow it.
+
+    Build one with `tracker.estimator`, which also accepts registered names.
+
+    Raises:
+        CapabilityError: when a model lacks what filter or smoother needs.
+    """
+
+    filter: Filter[Any]
+    motion: MotionModel
+    sensors: tuple[SensorModel, ...]
+    smoother: Smoother | None = None
+    sources: tuple[Component, ...] = ()
+
+    def __attrs_post_init__(self) -> None:
+        label = f"filter {type(self.filter).__name__}"
+        needs = tuple(self.filter.needs)
+        check_capabilities(label, needs, "motion", self.motion)
+        for sensor in self.sensors:
+            check_capabilities(label, needs, "sensor", sensor)
+            state = getattr(sensor, "state", self.motion.space)
+            if state.names != self.motion.space.names:
+                raise CapabilityError(
+                    wording(
+                        f"sensor {getattr(sensor, 'name', type(sensor).__name__)!r}",
+                        got=f"a sensor that reads states ({state})",
+                        expected=f"states of the motion model ({self.motion.space})",
+                        do="build it with state=motion.space, or give it a method over(space)",
+                    )
+                )
+        if self.smoother is not None:
+            check_capabilities(
+                f"smoother {type(self.smoother).__name__}",
+                tuple(self.smoother.needs),
+                "motion",
+                self.motion,
+            )
+
+    def step(
+        self,
+        state: Any,
+        z: ArrayLike,
+        dt: Any,
+        *,
+        pose: ArrayLike | None = None,
+        u: ArrayLike | None = None,
+        t: Any = None,
+        sensor: int = 0,
+    ) -> tuple[Any, Innovation]:
+        """One prediction and one update, on line, for one target or a batch.
+
+        Shapes:
+            state: what the last step returned, or a `Gaussian`; z ``(m, *batch)``, NaN where not
+            measured; dt scalar or ``(*batch)`` seconds, not negative.
+        Raises:
+            ShapeError, DomainError: on a measurement of the wrong shape, inf, or a negative dt.
+        """
+        model = self.sensors[sensor]
+        values = z if isinstance(z, np.ndarray) else np.asarray(z, dtype=np.float64)
+        if values.shape[:1] != (model.space.size,):
+            raise ShapeError(
+                wording(
+                    "argument 'z'",
+                    got=f"shape {values.shape}",
+                    expected=f"({model.space.size}, *batch): {model.space}",
+                    do="give one row per component of the sensor's space",
+                )
+            )
+        if np.isinf(values).any():
+            raise DomainError(
+                wording(
+                    "argument 'z'",
+                    got="an infinite value",
+                    expected="finite numbers, or NaN where nothing was measured",
+                    do="replace inf by NaN if the measurement is missing",
+                )
+            )
+        if (dt < 0) if isinstance(dt, float) else np.any(np.asarray(dt) < 0):
+            raise DomainError(
+                wording(
+                    "argument 'dt'",
+                    got=f"{dt}",
+                    expected="seconds that are not negative",
+                    do="give late measurements in time order",
+                )
+            )
+        with np.errstate(all="ignore"):
+            predicted = self.filter.predict(state, self.motion, dt, u, t)
+            out: tuple[Any, Innovation] = self.filter.update(predicted, model, values, pose)
+        return out
+
+    def lanes(self, index: Any) -> Estimator:
+        """The same estimator with per-lane parameters of its models cut to some lanes."""
+        motion = _cut(self.motion, index)
+        sensors = tuple(_cut(s, index) for s in self.sensors)
+        if motion is self.motion and all(a is b for a, b in zip(sensors, self.sensors, strict=True)):
+            return self
+        return attrs.evolve(self, motion=motion, sensors=sensors)
+
+    def cite(self) -> str:
+        """The sources of its components, one line each."""
+        if not self.sources:
+            return "(made of objects that are not in the registry)"
+        return "\n".join(
+            f"{c.kind} {c.name}: {c.summary} Source: paper {c.paper}"
+            + (f", eq. {', '.join(c.equations)}" if c.equations else "")
+            for c in self.sources
+        )
+
+    def explain(self) -> str:
+        """In words: which of its models can be traced and compiled, and why others cannot."""
+        lines = []
+        for role, model in (("motion", self.motion), *(("sensor", s) for s in self.sensors)):
+            name = getattr(model, "name", type(model).__name__)
+            reason = getattr(model, "why_opaque", "it is not written over components")
+            lines.append(f"{role} {name}: {'opaque, ' + reason if reason else 'traced'}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{role}</td><td>{value}</td></tr>"
+            for role, value in (
+                ("filter", type(self.filter).__name__),
+                ("motion", getattr(self.motion, "name", type(self.motion).__name__)),
+                ("sensor", ", ".join(getattr(s, "name", type(s).__name__) for s in self.sensors)),
+                ("smoother", "none" if self.smoother is None else type(self.smoother).__name__),
+            )
+        )
+        return f"<table><caption>Estimator</caption>{rows}</table>"
+
+
+def _cut(model: Any, index: Any) -> Any:
+    return model.lanes(index) if hasattr(model, "lanes") else model
+
+
+def estimator(
+    filter: str | Filter[Any] = "ekf1",  # noqa: A002 - the field's word
+    *,
+    motion: str | MotionModel,
+    sensor: str | SensorModel | Sequence[SensorModel],
+    smoother: str | Smoother | None = None,
+) -> Estimator:
+    """An estimator from components or their registered names.
+
+    Sensors that can (`over`) are bound to the motion's state space, so an azimuth sensor serves
+    any state that has x and y.
+
+    Raises:
+        UnknownComponent: for a name that is not registered, with the nearest ones.
+        CapabilityError: when the parts do not fit together.
+    """
+    sources: list[Component] = []
+
+    def made(kind: str, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        from tracker.registry import default_registry  # noqa: PLC0415 - discovery costs time
+
+        component = default_registry().get(kind, value)
+        sources.append(component)
+        return component.make()
+
+    model = made("motion", motion)
+    given = [sensor] if isinstance(sensor, str) or not isinstance(sensor, Sequence) else sensor
+    sensors = [made("sensor", s) for s in given]
+    return Estimator(
+        filter=made("filter", filter),
+        motion=model,
+        sensors=tuple(s.over(model.space) if hasattr(s, "over") else s for s in sensors),
+        smoother=None if smoother is None else made("smoother", smoother),
+        sources=tuple(sources),
+    )
+
+
+# ------------------------------------------------------------------------------------- running
+def filter(  # noqa: A001 - the field's word
+    estimator: Estimator, record: Record, prior: Gaussian, *, start: float | None = None
+) -> History:
+    """Filter a record: predict to each row's time, then update with it.
+
+    Shapes:
+        record and prior of any batch shape; a prior without batch axes serves all lanes.
+        ``start`` is the time of the prior, by default that of the first row, which then is not
+        preceded by a prediction.
+    Raises:
+        ShapeError, DomainError: when record and prior do not fit the models.
+    Laws:
+        bit-equal results for any batch of lanes; NaN components are not measured.
+    """
+    prior = _fitting(estimator, record, prior, start)
+    history = _allocated(estimator, record, prior)
+    with np.errstate(all="ignore"):
+        for tile in tiles(record.batch, prior.n):
+            part, some, whole = _tile(estimator, record, prior, history, tile)
+            for k, _, predicted, state, innovation in steps(part, some[0], some[1], start):
+                _store(whole, k, predicted, state, innovation)
+    return history
+
+
+def smooth(
+    estimator: Estimator, record: Record, prior: Gaussian, *, start: float | None = None
+) -> History:
+    """Filter a record forwards, then smooth it backwards with the estimator's smoother.
+
+    Raises:
+        CapabilityError: if the estimator has no smoother.
+    """
+    if estimator.smoother is None:
+        raise CapabilityError(
+            "smooth() needs an estimator with a smoother: got one without. "
+            "Build it with smoother='rts'."
+        )
+    history = filter(estimator, record, prior, start=start)
+    return smoothed(estimator, history)
+
+
+def smoothed(estimator: Estimator, history: History) -> History:
+    """A filtered history with its smoothed trajectory, tile by tile."""
+    smoother = estimator.smoother
+    assert smoother is not None  # noqa: S101 - callers checked
+    batch, n = history.filtered.batch, history.filtered.mean.shape[1]
+    parts = tiles(batch, n)
+    if len(parts) == 1:
+        return smoother.smooth(history, estimator.motion)
+    mean, cov = np.empty_like(history.filtered.mean), np.empty_like(history.filtered.cov)
+    for tile in parts:
+        done = smoother.smooth(_history_lanes(history, tile), _cut(estimator.motion, tile)).smoothed
+        assert done is not None  # noqa: S101 - a smoother fills it in
+        mean[..., tile], cov[..., tile] = done.mean, done.cov
+    return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+
+
+def steps(
+    estimator: Estimator, record: Record, prior: Gaussian, start: float | None
+) -> Iterator[tuple[int, int, Any, Any, Innovation]]:
+    """The recursion itself: step, sensor, predicted state, filtered state, innovation.
+
+    NumPy's floating-point warnings are the caller's to silence: a diverged lane is not an error.
+    """
+    rule, motion, sensors = estimator.filter, estimator.motion, estimator.sensors
+    t, z, u, pose = record.t, record.z, record.u, record.pose
+    sizes = [s.space.size for s in sensors]
+    poses = [s.pose_space.size for s in sensors]
+    which = [0] * len(record) if record.sensor is None else record.sensor.tolist()
+    scalar = t.ndim == 1
+    times = t.tolist() if scalar else t
+    before: Any = (times[0] if start is None else start) if len(record) else 0.0
+    state = prior
+    for k in range(len(record)):
+        i = which[k]
+        where = None if pose is None or not poses[i] else pose[k, : poses[i]]
+        given = None if u is None else u[k]
+        predicted = rule.predict(state, motion, times[k] - before, given, before)
+        state, innovation = rule.update(predicted, sensors[i], z[k, : sizes[i]], where)
+        before = times[k]
+        yield k, i, predicted, state, innovation
+
+
+def tiles(batch: tuple[int, ...], n: int) -> list[Any]:
+    """Groups of lanes small enough for their temporaries to stay in cache; never one lane alone."""
+    most = max(2, LANE_BYTES // (8 * n * n))
+    if len(batch) != 1 or batch[0] <= most:
+        return [slice(None)]
+    count = -(-batch[0] // most)
+    bounds = [batch[0] * i // count for i in range(count + 1)]
+    return [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+# ------------------------------------------------------------------------------------- inside
+def _fitting(
+    estimator: Estimator, record: Record, prior: Gaussian, start: float | None
+) -> Gaussian:
+    """The prior over the record's lanes, after everything was checked that can be checked."""
+    space, batch = estimator.motion.space, record.batch
+    if prior.n != space.size:
+        raise ShapeError(
+            wording(
+                "argument 'prior'",
+                got=f"{prior.n} components",
+                expected=f"{space.size}: {space}",
+                do="build the prior for the motion model's space",
+            )
+        )
+    if prior.batch not in ((), batch):
+        raise ShapeError(
+            wording(
+                "argument 'prior'",
+                got=f"batch shape {prior.batch}",
+                expected=f"() or {batch}, as in the record",
+                do="give one prior for all lanes or one per lane",
+            )
+        )
+    if prior.batch != batch:
+        lead = (1,) * len(batch)
+        prior = Gaussian.trusted(
+            np.broadcast_to(prior.mean.reshape(-1, *lead), (prior.n, *batch)).copy(),
+            np.broadcast_to(prior.cov.reshape(prior.n, prior.n, *lead), (prior.n,) * 2 + batch).copy(),
+        )
+    if start is not None and len(record) and (record.t[0] < start).any():
+        raise DomainError(
+            wording(
+                "argument 'start'",
+                got=f"{start} s, after the first measurement at {float(np.min(record.t[0]))} s",
+                expected="a time that is not after the first row",
+                do="cut the record or move the prior",
+            )
+        )
+    widest = max(s.space.size for s in estimator.sensors)
+    if record.sensor is not None and len(record):
+        last = int(record.sensor.max())
+        if last >= len(estimator.sensors) or int(record.sensor.min()) < 0:
+            raise DomainError(
+                wording(
+                    "argument 'record.sensor'",
+                    got=f"sensor {last}",
+                    expected=f"0 to {len(estimator.sensors) - 1}",
+                    do="give the estimator as many sensors as the record names",
+                )
+            )
+    if record.z.shape[1] < widest:
+        raise ShapeError(
+            wording(
+                "argument 'record.z'",
+                got=f"{record.z.shape[1]} measurement components",
+                expected=f"{widest}: the largest measurement space of the sensors",
+                do="pad rows with NaN",
+            )
+        )
+    for sensor in estimator.sensors:
+        size = sensor.pose_space.size
+        if size and (record.pose is None or record.pose.shape[1] < size):
+            got = "nothing" if record.pose is None else f"shape {record.pose.shape}"
+            raise ShapeError(
+                wording(
+                    "argument 'record.pose'",
+                    got=got,
+                    expected=f"(T, {size}, *batch): {sensor.pose_space}",
+                    do="give the sensor's pose for every row, or fix it with sensor.at(...)",
+                )
+            )
+    _refuse_silent_broadcasts(estimator, record, prior)
+    return prior
+
+
+def _refuse_silent_broadcasts(estimator: Estimator, record: Record, prior: Gaussian) -> None:
+    """A matrix without batch axes beside lanes would broadcast over the wrong axes, unnoticed."""
+    axes = 2 + len(record.batch)
+    if axes == 2 or not len(record):  # noqa: PLR2004 - one run has nothing to broadcast
+        return
+    with np.errstate(all="ignore"):
+        found = [("motion", estimator.motion, "Q", estimator.motion.Q(prior.mean, 0.0))]
+        for sensor in estimator.sensors:
+            size = sensor.pose_space.size
+            pose = None if record.pose is None or not size else record.pose[0, :size]
+            found.append(("sensor", sensor, "R", sensor.R(prior.mean, pose)))
+    for role, component, name, value in found:
+        if value.ndim != axes:
+            raise ShapeError(
+                wording(
+                    f"{role} {getattr(component, 'name', type(component).__name__)!r}: {name}",
+                    got=f"shape {value.shape} for states of batch shape {record.batch}",
+                    expected=f"{axes} axes; those of the batch may have length 1",
+                    do=f"return {name}.reshape({', '.join(map(str, value.shape[:2]))}, 1, ...)",
+                )
+            )
+
+
+def _allocated(estimator: Estimator, record: Record, prior: Gaussian) -> History:
+    steps_, batch, n = len(record), record.batch, prior.n
+    m = max(s.space.size for s in estimator.sensors)
+
+    def trajectory() -> Trajectory:
+        return Trajectory(np.empty((steps_, n, *batch)), np.empty((steps_, n, n, *batch)))
+
+    innovation = Innovation(
+        np.full((steps_, m, *batch), np.nan),
+        np.zeros((steps_, m, m, *batch)),
+        *(np.empty((steps_, *batch)) for _ in range(3)),
+        ok=np.empty((steps_, *batch), dtype=np.bool_),
+    )
+    return History(record.t, trajectory(), trajectory(), innovation, u=record.u)
+
+
+def _tile(
+    estimator: Estimator, record: Record, prior: Gaussian, history: History, tile: slice
+) -> tuple[Estimator, tuple[Record, Gaussian], History]:
+    if tile == slice(None):
+        return estimator, (record, prior), history
+    cut = record_lanes(record, tile)
+    state = Gaussian.trusted(prior.mean[..., tile].copy(), prior.cov[..., tile].copy())
+    return estimator.lanes(tile), (cut, state), _history_lanes(history, tile)
+
+
+def record_lanes(record: Record, index: slice) -> Record:
+    """Some lanes of a record with one batch axis."""
+    per_lane = {"t": record.t, "u": record.u, "pose": record.pose}
+    base = {"t": 1, "u": 2, "pose": 2}
+    cut = {k: v if v is None or v.ndim == base[k] else v[..., index] for k, v in per_lane.items()}
+    made = object.__new__(Record)
+    for name, value in (*cut.items(), ("z", record.z[..., index]), ("sensor", record.sensor)):
+        object.__setattr__(made, name, value)
+    return made
+
+
+def _history_lanes(history: History, index: slice) -> History:
+    """Views of some lanes: what is written into them is written into the whole."""
+
+    def of(trajectory: Trajectory) -> Trajectory:
+        return Trajectory(trajectory.mean[..., index], trajectory.cov[..., index])
+
+    values = attrs.asdict(history.innovation, recurse=False)
+    return History(
+        history.t if history.t.ndim == 1 else history.t[..., index],
+        of(history.predicted),
+        of(history.filtered),
+        Innovation(**{k: v[..., index] for k, v in values.items()}),
+        None if history.smoothed is None else of(history.smoothed),
+        history.u if history.u is None or history.u.ndim == 2 else history.u[..., index],  # noqa: PLR2004
+    )
+
+
+def _store(history: History, k: int, predicted: Any, state: Any, innovation: Innovation) -> None:
+    before, after, out = predicted.moments(), state.moments(), history.innovation
+    history.predicted.mean[k], history.predicted.cov[k] = before.mean, before.cov
+    history.filtered.mean[k], history.filtered.cov[k] = after.mean, after.cov
+    m = len(innovation.residual)
+    out.residual[k, :m], out.S[k, :m, :m] = innovation.residual, innovation.S
+    out.nis[k], out.loglik[k] = innovation.nis, innovation.loglik
+    out.count[k], out.ok[k] = innovation.count, innovation.ok
+
+
+__all__ = [
+    "Estimator",
+    "check_capabilities",
+    "estimator",
+    "filter",
+    "missing_capabilities",
+    "record_lanes",
+    "smooth",
+    "smoothed",
+    "steps",
+    "tiles",
+]

@@ -1,0 +1,1 @@
+"""How good an estimate is: errors, consistency, and the words for both."""

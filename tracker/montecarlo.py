@@ -1,0 +1,434 @@
+"""Monte Carlo campaigns: many runs of a scenario through one or several estimators, and their scores.
+
+A campaign keeps reductions, not histories. Runs are worked in chunks, each one array computation;
+sums are taken over fixed blocks of runs, so the numbers do not depend on chunks or workers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker import estimation
+from tracker.errors import ConfigError, DomainError, UnknownComponent, wording
+from tracker.estimation import Estimator
+from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
+from tracker.metrics.errors import error, squared_position_error
+from tracker.simulation import Scenario
+from tracker.types import Array, History
+
+BLOCK = 32
+"""Runs per partial sum; chunks are whole multiples of it."""
+
+DIVERGED = 10.0
+"""A run has diverged if its final error exceeds this many times the median final error."""
+
+PER_STEP = ("squared_error", "nees", "nis", "count", "finite")
+PER_RUN = ("rmse", "final_error", "nees", "nis", "count", "loglik")
+
+
+# --------------------------------------------------------------------------------- the scores
+@attrs.frozen(eq=False)
+class Scores:
+    """What one estimator scored, filtered or smoothed.
+
+    Shapes:
+        per_run: name -> ``(runs,)``; per_step: name -> ``(T,)``, means over the runs that were
+        finite (``finite`` is their number). NIS belongs to the filter; a smoother has NaN there.
+    """
+
+    n: int
+    per_run: Mapping[str, Array]
+    per_step: Mapping[str, Array]
+
+    @property
+    def diverged(self) -> Any:
+        """Which runs diverged: final error above 10 times the median, or not finite."""
+        final = self.per_run["final_error"]
+        median = np.median(final[np.isfinite(final)]) if np.isfinite(final).any() else 0.0
+        return ~(final <= DIVERGED * median)
+
+    @property
+    def rmse(self) -> Interval:
+        """Mean over runs of the position RMSE over a run (paper 0, Table 1), with its interval."""
+        return mean_interval(self.per_run["rmse"])
+
+    def percentile(self, name: str, *q: float) -> list[float]:
+        """Percentiles of a per-run score over the finite runs."""
+        values = self.per_run[name]
+        values = values[np.isfinite(values)]
+        return np.percentile(values, q).tolist() if values.size else [np.nan] * len(q)
+
+    def nees_band(self, step: int, probability: float = 0.95) -> Band:
+        """Band of the mean NEES over runs at one step."""
+        count = float(self.per_step["finite"][step])
+        return chi_square_band(self.n * count, probability, per=max(count, 1.0))
+
+    def nis_band(self, probability: float = 0.95) -> Band:
+        """Band of NIS divided by its degrees of freedom, over all runs and steps."""
+        total = float(np.nansum(self.per_run["count"]))
+        return chi_square_band(total, probability, per=max(total, 1.0))
+
+    @property
+    def mean_nees(self) -> float:
+        """Mean NEES over the steps and the finite runs; n if consistent."""
+        return float(np.nanmean(self.per_step["nees"]))
+
+    @property
+    def nees_share(self) -> float:
+        """Share of steps whose mean NEES lies in its own 95 % band."""
+        inside = [
+            self.nees_band(k).low <= value <= self.nees_band(k).high
+            for k, value in enumerate(self.per_step["nees"])
+        ]
+        return float(np.mean(inside)) if inside else np.nan
+
+    @property
+    def mean_nis(self) -> float:
+        """NIS divided by its degrees of freedom, over all finite runs and steps; 1 if consistent."""
+        good = np.isfinite(self.per_run["nis"])
+        degrees = float(self.per_run["count"][good].sum())
+        return float(self.per_run["nis"][good].sum()) / degrees if degrees else np.nan
+
+
+@attrs.frozen(eq=False)
+class Campaign:
+    """The result of `monte_carlo`.
+
+    ``scores[estimator]["filter" or "smoother"]`` holds the numbers; `summary` puts them into words.
+    """
+
+    scenario: str
+    seed: int
+    runs: int
+    t: Array
+    scores: Mapping[str, Mapping[str, Scores]]
+    sources: Mapping[str, str] = attrs.field(factory=dict)
+
+    # -------------------------------------------------------------------------- in words
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per estimator and stage: the numbers behind `summary`."""
+        out = []
+        for name, stages in self.scores.items():
+            for stage, scores in stages.items():
+                ten, median, ninety = scores.percentile("rmse", 10, 50, 90)
+                rmse, smooth = scores.rmse, stage == "smoother"
+                out.append({
+                    "estimator": name,
+                    "stage": stage,
+                    "rmse": rmse.value,
+                    "rmse_low": rmse.low,
+                    "rmse_high": rmse.high,
+                    "median": median,
+                    "p10": ten,
+                    "p90": ninety,
+                    "nees": scores.mean_nees,
+                    "nees_share": scores.nees_share,
+                    "nis": np.nan if smooth else scores.mean_nis,
+                    "diverged": int(scores.diverged.sum()),
+                })
+        return out
+
+    def summary(self, *metrics: str) -> str:
+        """A table and, below it, what a person should conclude.
+
+        ``metrics`` picks from "rmse", "nees", "nis", "diverged"; all by default.
+
+        Raises:
+            UnknownComponent: for another name.
+        """
+        known = ("rmse", "nees", "nis", "diverged")
+        for metric in metrics:
+            if metric not in known:
+                raise UnknownComponent(f"no metric {metric!r}; there are {', '.join(known)}.")
+        wanted = metrics or known
+        header = ["estimator", "stage"]
+        titles = {
+            "rmse": ["RMSE [95 % interval]", "median [10 %, 90 %]"],
+            "nees": ["NEES / n", "steps in 95 % band"],
+            "nis": ["NIS / m [95 % band]"],
+            "diverged": ["diverged"],
+        }
+        for metric in wanted:
+            header += titles[metric]
+        table = [header]
+        words: list[str] = []
+        for row in self.rows():
+            scores = self.scores[row["estimator"]][row["stage"]]
+            band = scores.nis_band()
+            cells = {
+                "rmse": [
+                    f"{row['rmse']:.4g} [{row['rmse_low']:.4g}, {row['rmse_high']:.4g}]",
+                    f"{row['median']:.4g} [{row['p10']:.4g}, {row['p90']:.4g}]",
+                ],
+                "nees": [f"{row['nees'] / scores.n:.3g}", f"{row['nees_share']:.0%}"],
+                "nis": [
+                    "-"
+                    if row["stage"] == "smoother"
+                    else f"{row['nis']:.4g} [{band.low:.4g}, {band.high:.4g}]"
+                ],
+                "diverged": [f"{row['diverged']} of {self.runs}"],
+            }
+            table.append([row["estimator"], row["stage"], *(c for m in wanted for c in cells[m])])
+            words += self._words(row, scores, wanted)
+        widths = [max(len(line[i]) for line in table) for i in range(len(header))]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+            for line in table
+        ]
+        title = f"{self.scenario}: {self.runs} runs, {len(self.t)} steps, seed {self.seed}"
+        return "\n".join([title, *lines, *words])
+
+    def _words(self, row: Mapping[str, Any], scores: Scores, wanted: Iterable[str]) -> list[str]:
+        label = f"{row['estimator']} ({row['stage']})"
+        out = []
+        if "nees" in wanted and np.isfinite(row["nees"]):
+            ratio = row["nees"] / scores.n
+            if row["nees_share"] < 0.5:  # noqa: PLR2004 - fewer than half of the steps
+                word = "overconfident" if ratio > 1 else "underconfident"
+                out.append(
+                    f"Warning: {label} is {word}: its errors are {np.sqrt(ratio):.2g} times what it "
+                    f"claims, and NEES is inside its band at only {row['nees_share']:.0%} of the steps."
+                )
+        if "diverged" in wanted and row["diverged"]:
+            out.append(
+                f"Warning: {label} diverged in {row['diverged']} of {self.runs} runs (final error "
+                f"above {DIVERGED:g} times the median, or not finite): read medians, not means."
+            )
+        return out
+
+    def _repr_html_(self) -> str:
+        from html import escape  # noqa: PLC0415 - only in notebooks
+
+        return f"<pre>{escape(self.summary())}</pre>"
+
+    # ----------------------------------------------------------------- pictures and files
+    def plot(self) -> Any:
+        """A matplotlib Figure: RMSE and NEES against time, for every estimator.
+
+        Raises:
+            PluginError: if matplotlib is not installed.
+        """
+        from tracker.report.campaign import figure  # noqa: PLC0415 - plots are optional
+
+        return figure(self)
+
+    def report(self, path: str | Path) -> Path:
+        """Write a self-contained HTML report.
+
+        Raises:
+            PluginError: if matplotlib is not installed.
+        """
+        from tracker.report.campaign import write  # noqa: PLC0415 - plots are optional
+
+        return write(self, Path(path))
+
+    def save(self, path: str | Path) -> Path:
+        """Write everything to one ``.npz`` file; `load_campaign` reads it back."""
+        from tracker.io.arrays import save_arrays  # noqa: PLC0415 - only when asked for
+
+        arrays = {"t": self.t}
+        stages = []
+        for i, (name, by_stage) in enumerate(self.scores.items()):
+            for stage, scores in by_stage.items():
+                stages.append([name, stage, scores.n])
+                for group, values in (("run", scores.per_run), ("step", scores.per_step)):
+                    arrays |= {f"{i}/{stage}/{group}/{k}": v for k, v in values.items()}
+        metadata = {
+            "kind": "campaign",
+            "scenario": self.scenario,
+            "seed": self.seed,
+            "runs": self.runs,
+            "stages": stages,
+            "sources": dict(self.sources),
+        }
+        save_arrays(Path(path), arrays, metadata)
+        return Path(path)
+
+
+def load_campaign(path: str | Path) -> Campaign:
+    """A campaign that `Campaign.save` wrote.
+
+    Raises:
+        ConfigError: if the file is not one.
+    """
+    from tracker.io.arrays import load_arrays  # noqa: PLC0415 - only when asked for
+
+    arrays, metadata = load_arrays(Path(path))
+    if metadata.get("kind") != "campaign":
+        raise ConfigError(
+            wording(
+                str(path),
+                got=f"a file of kind {metadata.get('kind')!r}",
+                expected="a campaign",
+                do="give a file written by Campaign.save",
+            )
+        )
+    names = list(dict.fromkeys(name for name, _, _ in metadata["stages"]))
+    scores: dict[str, dict[str, Scores]] = {name: {} for name in names}
+    for name, stage, n in metadata["stages"]:
+        prefix = f"{names.index(name)}/{stage}"
+        scores[name][stage] = Scores(
+            n,
+            {k: arrays[f"{prefix}/run/{k}"] for k in PER_RUN},
+            {k: arrays[f"{prefix}/step/{k}"] for k in PER_STEP},
+        )
+    return Campaign(
+        metadata["scenario"],
+        metadata["seed"],
+        metadata["runs"],
+        arrays["t"],
+        scores,
+        metadata["sources"],
+    )
+
+
+# -------------------------------------------------------------------------------- the running
+def monte_carlo(
+    estimators: Estimator | Mapping[str, Estimator],
+    scenario: Scenario,
+    runs: int = 1000,
+    seed: int = 0,
+    *,
+    condition: int = 0,
+    workers: int = 1,
+    chunk: int | None = None,
+    progress: bool = False,
+) -> Campaign:
+    """Run estimators over simulated runs of a scenario; all see the same random numbers.
+
+    ``chunk`` runs are one array computation (rounded up to whole blocks; by default as many as
+    keep temporaries in cache). ``workers`` threads share the chunks. Neither changes a bit of the
+    result. ``condition`` numbers the cell of a study.
+
+    Raises:
+        DomainError: for a number of runs or workers below one.
+    """
+    for name, value in (("runs", runs), ("workers", workers), ("chunk", chunk or 1)):
+        if value < 1:
+            raise DomainError(
+                wording(f"argument {name!r}", got=value, expected="at least 1", do="pass more")
+            )
+    named = {"estimator": estimators} if isinstance(estimators, Estimator) else dict(estimators)
+    size = chunk or max(BLOCK, estimation.LANE_BYTES // (8 * scenario.motion.space.size**2))
+    size = size // BLOCK * BLOCK if chunk is None else -(-size // BLOCK) * BLOCK
+    pieces = [range(a, min(a + size, runs)) for a in range(0, runs, size)]
+
+    def work(piece: range) -> dict[tuple[str, str], _Reduced]:
+        return _chunk(named, scenario, piece, seed, condition)
+
+    done = _mapped(work, pieces, workers, progress)
+    scores: dict[str, dict[str, Scores]] = {}
+    for name, built in named.items():
+        stages = ("filter",) if built.smoother is None else ("filter", "smoother")
+        scores[name] = {
+            stage: _joined([part[name, stage] for part in done], scenario.motion.space.size)
+            for stage in stages
+        }
+    return Campaign(
+        scenario.name, seed, runs, scenario.t, scores, {k: v.cite() for k, v in named.items()}
+    )
+
+
+def _mapped(
+    work: Callable[[range], Any], pieces: list[range], workers: int, progress: bool
+) -> list[Any]:
+    shown: Callable[[Iterable[Any]], Iterable[Any]] = iter
+    if progress:
+        from tracker.progress import progress as bar  # noqa: PLC0415 - rich is slow to import
+
+        def shown(items: Iterable[Any]) -> Iterable[Any]:
+            return bar(items, "runs", total=len(pieces))
+
+    if workers == 1:
+        return [work(piece) for piece in shown(pieces)]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(shown(pool.map(work, pieces)))
+
+
+@attrs.frozen(eq=False)
+class _Reduced:
+    """One chunk's scores: per run, and per step as partial sums over blocks ``(T, blocks)``."""
+
+    per_run: dict[str, Array]
+    partial: dict[str, Array]
+
+
+def _chunk(
+    estimators: Mapping[str, Estimator], scenario: Scenario, runs: range, seed: int, condition: int
+) -> dict[tuple[str, str], _Reduced]:
+    simulation = scenario.simulate(seed, runs, condition=condition)
+    out = {}
+    for name, built in estimators.items():
+        # A chunk of one lane takes other code paths than many: pad it, score one.
+        history = estimation.filter(
+            built, simulation.record, simulation.prior, start=simulation.start
+        )
+        out[name, "filter"] = _reduced(history, simulation.truth, scenario, smooth=False)
+        if built.smoother is not None:
+            history = estimation.smoothed(built, history)
+            out[name, "smoother"] = _reduced(history, simulation.truth, scenario, smooth=True)
+    return out
+
+
+def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool) -> _Reduced:
+    estimate = history.estimate if smooth else history.filtered
+    space = scenario.motion.space
+    errors = error(truth, estimate.mean, space)
+    squared = squared_position_error(errors, space)
+    score = nees(errors, estimate.cov)
+    innovation = history.innovation
+    nothing = np.full(squared.shape, np.nan)
+    nis = nothing if smooth else innovation.nis
+    finite = np.isfinite(squared) & np.isfinite(score)
+    with np.errstate(all="ignore"):
+        per_run = {
+            "rmse": np.sqrt(_time_mean(squared)),
+            "final_error": np.sqrt(squared[-1]),
+            "nees": _time_mean(score),
+            "nis": nis.sum(axis=0),
+            "count": innovation.count.sum(axis=0),
+            "loglik": innovation.loglik.sum(axis=0),
+        }
+    values = {
+        "squared_error": squared,
+        "nees": score,
+        "nis": nis,
+        "count": innovation.count,
+        "finite": finite.astype(np.float64),
+    }
+    partial = {k: _blocks(np.where(finite, v, 0.0)) for k, v in values.items()}
+    return _Reduced(per_run, partial)
+
+
+def _time_mean(values: Array) -> Array:
+    """Mean over time, step by step, so that a lane's bits do not depend on how many there are."""
+    total = np.zeros(values.shape[1:])
+    for row in values:
+        total += row
+    return total / max(len(values), 1)
+
+
+def _blocks(values: Array) -> Array:
+    """Sums over blocks of runs, ``(T, blocks)``: the order of addition is that of the run numbers."""
+    steps, runs = values.shape
+    count = -(-runs // BLOCK)
+    padded = np.zeros((steps, count * BLOCK))
+    padded[:, :runs] = values
+    return padded.reshape(steps, count, BLOCK).sum(axis=2)
+
+
+def _joined(parts: list[_Reduced], n: int) -> Scores:
+    per_run = {k: np.concatenate([p.per_run[k] for p in parts]) for k in PER_RUN}
+    sums = {k: np.concatenate([p.partial[k] for p in parts], axis=1).sum(axis=1) for k in PER_STEP}
+    with np.errstate(all="ignore"):
+        per_step = {
+            k: v if k == "finite" else v / np.where(sums["finite"] > 0, sums["finite"], np.nan)
+            for k, v in sums.items()
+        }
+    return Scores(n, per_run, per_step)

@@ -1,0 +1,232 @@
+"""Scenarios and what is simulated from them: truth, measurements, and the prior of each run.
+
+Randomness is keyed, never sequential: component ``c`` of run ``r`` under condition ``k`` draws from
+its own generator, so run 8123 can be remade alone and any grouping of runs gives the same bits.
+Estimating and scoring do not belong here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.errors import DomainError, ShapeError, wording
+from tracker.models.parameters import one_of
+from tracker.protocols import MotionModel, SensorModel
+from tracker.types import Array, Gaussian, Record, as_array, square_root
+
+STREAMS = {"initial": 0, "process": 1, "measurement": 2, "detection": 3, "prior": 4}
+"""Components of randomness and their places in the key; never renumbered."""
+
+INITIAL = ("truth from prior", "prior around truth", "fixed")
+
+
+def stream(seed: int, run: int, component: str, condition: int = 0) -> np.random.Generator:
+    """The generator of one component of randomness in one run.
+
+    Example:
+    >>> a = stream(7, run=8123, component="process").standard_normal()
+    >>> a == stream(7, run=8123, component="process").standard_normal()
+    True
+    """
+    key = (condition, run, STREAMS[component])
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+def normals(
+    seed: int, runs: Sequence[int], component: str, shape: tuple[int, ...], condition: int = 0
+) -> Array:
+    """Standard normals, ``(*shape, runs)``, each run from its own generator."""
+    out = np.empty((len(runs), *shape))
+    for row, run in zip(out, runs, strict=True):
+        stream(seed, run, component, condition).standard_normal(out=row)
+    return np.ascontiguousarray(np.moveaxis(out, 0, -1))
+
+
+@attrs.frozen(eq=False)
+class Simulation:
+    """Runs of a scenario.
+
+    Shapes:
+        truth ``(T, n, runs)`` at the times of the record; record with batch ``(runs,)``; prior with
+        batch ``(runs,)``, at time ``start``.
+    """
+
+    truth: Array
+    record: Record
+    prior: Gaussian
+    start: float
+    runs: tuple[int, ...]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Scenario:
+    """A problem with a known answer: how truth arises, who measures it, what an estimator is told.
+
+    ``initial`` says how truth and prior are drawn: "truth from prior" (the estimator's belief is
+    calibrated: the honest test of consistency), "prior around truth" (the true start is ``start``,
+    the prior mean is drawn around it), or "fixed" (neither is drawn). The truth then follows
+    ``path``, or is simulated from ``truth_motion`` (by default the estimator's own model).
+
+    Shapes:
+        t ``(T,)`` measurement times; pose ``(T, p)`` or None; path ``(T, n)`` or None; start
+        ``(n,)`` or None.
+    Raises:
+        ShapeError, DomainError: when these do not fit together.
+    """
+
+    name: str
+    motion: MotionModel
+    sensor: SensorModel
+    prior: Gaussian
+    t: Array = attrs.field(converter=lambda value: as_array(value, "t"))
+    prior_time: float = 0.0
+    pose: Array | None = None
+    path: Array | None = None
+    truth_motion: MotionModel | None = None
+    start: Array | None = None
+    initial: str = attrs.field(default=INITIAL[0])
+    detection_probability: float = 1.0
+    summary: str = ""
+
+    def __attrs_post_init__(self) -> None:
+        one_of("initial", self.initial, INITIAL)
+        n, steps = self.motion.space.size, len(self.t)
+        if self.prior.mean.shape != (n,):
+            raise ShapeError(
+                wording(
+                    "argument 'prior'",
+                    got=f"mean of shape {self.prior.mean.shape}",
+                    expected=f"({n},): {self.motion.space}",
+                    do="give one prior for the motion model's space",
+                )
+            )
+        for label, value, shape in (
+            ("path", self.path, (steps, n)),
+            ("start", self.start, (n,)),
+            ("pose", self.pose, (steps, self.sensor.pose_space.size)),
+        ):
+            if value is not None and np.shape(value) != shape:
+                raise ShapeError(
+                    wording(
+                        f"argument {label!r}",
+                        got=f"shape {np.shape(value)}",
+                        expected=f"{shape}",
+                        do="give one row per measurement time",
+                    )
+                )
+        if self.initial != INITIAL[0] and self.start is None and self.path is None:
+            raise DomainError(
+                wording(
+                    "argument 'start'",
+                    got="nothing",
+                    expected=f"the true initial state, as initial is {self.initial!r}",
+                    do="give start, or use initial='truth from prior'",
+                )
+            )
+        if not 0.0 <= self.detection_probability <= 1.0:
+            raise DomainError(
+                wording(
+                    "argument 'detection_probability'",
+                    got=self.detection_probability,
+                    expected="a probability",
+                    do="pass a number from 0 to 1",
+                )
+            )
+
+    def simulate(self, seed: int, runs: int | Sequence[int] = 1, *, condition: int = 0) -> Simulation:
+        """Truth, measurements and priors of some runs, all at once.
+
+        ``runs`` is a count or the numbers of the runs wanted. The same seed, run and condition give
+        the same bits in any company.
+        """
+        numbers = tuple(range(runs)) if isinstance(runs, int) else tuple(runs)
+        n, steps = self.motion.space.size, len(self.t)
+        truth = np.empty((steps, n, len(numbers)))
+        z = np.empty((steps, self.sensor.space.size, len(numbers)))
+        # Products over lanes take other code paths for one lane: never simulate one alone.
+        wide = numbers if len(numbers) != 1 else numbers * 2
+        with np.errstate(all="ignore"):
+            begin, prior = self._begin(seed, wide, condition)
+            self._truth(truth, begin, seed, wide, condition)
+            self._measure(z, truth, seed, wide, condition)
+        return Simulation(
+            truth,
+            Record(self.t, z, pose=self.pose),
+            prior[..., : len(numbers)],
+            self.prior_time,
+            numbers,
+        )
+
+    def _begin(
+        self, seed: int, runs: Sequence[int], condition: int
+    ) -> tuple[Array, Gaussian]:
+        n, count = self.prior.n, len(runs)
+        root = square_root(self.prior.cov)
+        mean = np.repeat(self.prior.mean[:, None], count, axis=1)
+        cov = np.repeat(self.prior.cov[..., None], count, axis=2)
+        known = self.start if self.start is not None else self.path[0] if self.path is not None else None
+        if self.initial == INITIAL[0]:
+            begin = mean + _times(root, normals(seed, runs, "initial", (n,), condition))
+        else:
+            begin = np.repeat(np.asarray(known, dtype=np.float64)[:, None], count, axis=1)
+        if self.initial == INITIAL[1]:
+            mean = begin + _times(root, normals(seed, runs, "prior", (n,), condition))
+        return begin, Gaussian.trusted(mean, cov)
+
+    def _truth(
+        self, truth: Array, begin: Array, seed: int, runs: Sequence[int], condition: int
+    ) -> None:
+        if self.path is not None:
+            truth[:] = np.asarray(self.path)[..., None]
+            return
+        motion = self.motion if self.truth_motion is None else self.truth_motion
+        noise = normals(seed, runs, "process", truth.shape[:2], condition)
+        x, before = begin, self.prior_time
+        for k, now in enumerate(self.t.tolist()):
+            dt = now - before
+            Q = motion.Q(x, dt)
+            x = motion.f(x, dt, None, before) + _times(square_root(Q), noise[k])
+            truth[k] = x[..., : truth.shape[-1]]
+            before = now
+
+    def _measure(
+        self, z: Array, truth: Array, seed: int, runs: Sequence[int], condition: int
+    ) -> None:
+        steps, m, count = z.shape
+        noise = normals(seed, runs, "measurement", (steps, m), condition)
+        zero = np.zeros((m, 1))
+        for k in range(steps):
+            pose = None if self.pose is None else np.asarray(self.pose)[k]
+            x = truth[k] if count > 1 else np.repeat(truth[k], 2, axis=-1)
+            value = self.sensor.h(x, pose) + _times(
+                square_root(self.sensor.R(x, pose)), noise[k][..., : x.shape[-1]]
+            )
+            z[k] = self.sensor.residual(value, zero)[..., :count]
+        if self.detection_probability < 1.0:
+            for lane, run in enumerate(runs[:count]):
+                draw = stream(seed, run, "detection", condition).random((steps, m))
+                z[..., lane][draw >= self.detection_probability] = np.nan
+
+
+def _times(root: Array, vector: Array) -> Array:
+    """Root times vector, lane by lane; a root without lanes, or with one, serves them all."""
+    matrix = root[..., None] if root.ndim == 2 else root  # noqa: PLR2004 - no lanes
+    total: Any = matrix[:, 0] * vector[0]
+    for j in range(1, len(vector)):
+        total = total + matrix[:, j] * vector[j]
+    return np.asarray(total)
+
+
+def scenario(name: str, **parameters: Any) -> Scenario:
+    """The registered scenario called ``name``.
+
+    Raises:
+        UnknownComponent: with the nearest names, if there is none.
+    """
+    from tracker.registry import scenarios  # noqa: PLC0415 - discovery costs time
+
+    return scenarios.make(name, **parameters)  # type: ignore[return-value]
