@@ -9,16 +9,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tracker import testing as testing  # noqa: PLC0414
-    from tracker.errors import TrackerError as TrackerError  # noqa: PLC0414
-    from tracker.estimation import Estimator as Estimator  # noqa: PLC0414
-    from tracker.estimation import estimator as estimator  # noqa: PLC0414
-    from tracker.estimation import filter as filter  # noqa: A004, PLC0414
-    from tracker.estimation import smooth as smooth  # noqa: PLC0414
-    from tracker.montecarlo import Campaign as Campaign  # noqa: PLC0414
-    from tracker.montecarlo import monte_carlo as monte_carlo  # noqa: PLC0414
-    from tracker.simulation import Scenario as Scenario  # noqa: PLC0414
-    from tracker.simulation import scenario as scenario  # noqa: PLC0414
+    from tracker import testing as testing
+    from tracker.errors import TrackerError as TrackerError
+    from tracker.estimation import Estimator as Estimator
+    from tracker.estimation import estimator as estimator
+    from tracker.estimation import filter as filter  # noqa: A004
+    from tracker.estimation import smooth as smooth
+    from tracker.montecarlo import Campaign as Campaign
+    from tracker.montecarlo import monte_carlo as monte_carlo
+    from tracker.simulation import Scenario as Scenario
+    from tracker.simulation import scenario as scenario
 
 __version__ = "0.1.0"
 
@@ -73,7 +73,7 @@ __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names
 
 
 def __getattr__(name: str) -> Any:
-    from importlib import import_module  # noqa: PLC0415 - the front door stays light
+    from importlib import import_module
 
     if name in _MODULES:
         return import_module(f"tracker.{name}")
@@ -81,7 +81,7 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f"tracker.{_HOME[name]}"), name)
         globals()[name] = value
         return value
-    import difflib  # noqa: PLC0415 - only for a mistake
+    import difflib
 
     near = difflib.get_close_matches(name, [*_HOME, *_MODULES], n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""

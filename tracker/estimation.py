@@ -122,6 +122,7 @@ class Estimator:
         Shapes:
             state: what the last step returned, or a `Gaussian`; z ``(m, *batch)``, NaN where not
             measured; dt scalar or ``(*batch)`` seconds, not negative.
+
         Raises:
             ShapeError, DomainError: on a measurement of the wrong shape, inf, or a negative dt.
         """
@@ -163,7 +164,9 @@ class Estimator:
         """The same estimator with per-lane parameters of its models cut to some lanes."""
         motion = _cut(self.motion, index)
         sensors = tuple(_cut(s, index) for s in self.sensors)
-        if motion is self.motion and all(a is b for a, b in zip(sensors, self.sensors, strict=True)):
+        if motion is self.motion and all(
+            a is b for a, b in zip(sensors, self.sensors, strict=True)
+        ):
             return self
         return attrs.evolve(self, motion=motion, sensors=sensors)
 
@@ -224,7 +227,7 @@ def estimator(
     def made(kind: str, value: Any) -> Any:
         if not isinstance(value, str):
             return value
-        from tracker.registry import default_registry  # noqa: PLC0415 - discovery costs time
+        from tracker.registry import default_registry
 
         component = default_registry().get(kind, value)
         sources.append(component)
@@ -252,6 +255,7 @@ def filter(  # noqa: A001 - the field's word
         record and prior of any batch shape; a prior without batch axes serves all lanes.
         ``start`` is the time of the prior, by default that of the first row, which then is not
         preceded by a prediction.
+
     Raises:
         ShapeError, DomainError: when record and prior do not fit the models.
     Laws:
@@ -332,8 +336,7 @@ def tiles(batch: tuple[int, ...], n: int) -> list[Any]:
     if len(batch) != 1 or batch[0] <= most:
         return [slice(None)]
     count = -(-batch[0] // most)
-    bounds = [batch[0] * i // count for i in range(count + 1)]
-    return [slice(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [slice(batch[0] * i // count, batch[0] * (i + 1) // count) for i in range(count)]
 
 
 # ------------------------------------------------------------------------------------- inside
@@ -364,7 +367,9 @@ def _fitting(
         lead = (1,) * len(batch)
         prior = Gaussian.trusted(
             np.broadcast_to(prior.mean.reshape(-1, *lead), (prior.n, *batch)).copy(),
-            np.broadcast_to(prior.cov.reshape(prior.n, prior.n, *lead), (prior.n,) * 2 + batch).copy(),
+            np.broadcast_to(
+                prior.cov.reshape(prior.n, prior.n, *lead), (prior.n,) * 2 + batch
+            ).copy(),
         )
     if start is not None and len(record) and (record.t[0] < start).any():
         raise DomainError(
@@ -415,10 +420,12 @@ def _fitting(
 def _refuse_silent_broadcasts(estimator: Estimator, record: Record, prior: Gaussian) -> None:
     """A matrix without batch axes beside lanes would broadcast over the wrong axes, unnoticed."""
     axes = 2 + len(record.batch)
-    if axes == 2 or not len(record):  # noqa: PLR2004 - one run has nothing to broadcast
+    if axes == 2 or not len(record):
         return
     with np.errstate(all="ignore"):
-        found = [("motion", estimator.motion, "Q", estimator.motion.Q(prior.mean, 0.0))]
+        found: list[tuple[str, Any, str, Any]] = [
+            ("motion", estimator.motion, "Q", estimator.motion.Q(prior.mean, 0.0))
+        ]
         for sensor in estimator.sensors:
             size = sensor.pose_space.size
             pose = None if record.pose is None or not size else record.pose[0, :size]
@@ -443,9 +450,11 @@ def _allocated(estimator: Estimator, record: Record, prior: Gaussian) -> History
         return Trajectory(np.empty((steps_, n, *batch)), np.empty((steps_, n, n, *batch)))
 
     innovation = Innovation(
-        np.full((steps_, m, *batch), np.nan),
-        np.zeros((steps_, m, m, *batch)),
-        *(np.empty((steps_, *batch)) for _ in range(3)),
+        residual=np.full((steps_, m, *batch), np.nan),
+        S=np.zeros((steps_, m, m, *batch)),
+        nis=np.empty((steps_, *batch)),
+        loglik=np.empty((steps_, *batch)),
+        count=np.empty((steps_, *batch)),
         ok=np.empty((steps_, *batch), dtype=np.bool_),
     )
     return History(record.t, trajectory(), trajectory(), innovation, u=record.u)
@@ -485,7 +494,7 @@ def _history_lanes(history: History, index: slice) -> History:
         of(history.filtered),
         Innovation(**{k: v[..., index] for k, v in values.items()}),
         None if history.smoothed is None else of(history.smoothed),
-        history.u if history.u is None or history.u.ndim == 2 else history.u[..., index],  # noqa: PLR2004
+        history.u if history.u is None or history.u.ndim == 2 else history.u[..., index],
     )
 
 

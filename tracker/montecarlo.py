@@ -118,20 +118,22 @@ class Campaign:
             for stage, scores in stages.items():
                 ten, median, ninety = scores.percentile("rmse", 10, 50, 90)
                 rmse, smooth = scores.rmse, stage == "smoother"
-                out.append({
-                    "estimator": name,
-                    "stage": stage,
-                    "rmse": rmse.value,
-                    "rmse_low": rmse.low,
-                    "rmse_high": rmse.high,
-                    "median": median,
-                    "p10": ten,
-                    "p90": ninety,
-                    "nees": scores.mean_nees,
-                    "nees_share": scores.nees_share,
-                    "nis": np.nan if smooth else scores.mean_nis,
-                    "diverged": int(scores.diverged.sum()),
-                })
+                out.append(
+                    {
+                        "estimator": name,
+                        "stage": stage,
+                        "rmse": rmse.value,
+                        "rmse_low": rmse.low,
+                        "rmse_high": rmse.high,
+                        "median": median,
+                        "p10": ten,
+                        "p90": ninety,
+                        "nees": scores.mean_nees,
+                        "nees_share": scores.nees_share,
+                        "nis": np.nan if smooth else scores.mean_nis,
+                        "diverged": int(scores.diverged.sum()),
+                    }
+                )
         return out
 
     def summary(self, *metrics: str) -> str:
@@ -189,7 +191,7 @@ class Campaign:
         out = []
         if "nees" in wanted and np.isfinite(row["nees"]):
             ratio = row["nees"] / scores.n
-            if row["nees_share"] < 0.5:  # noqa: PLR2004 - fewer than half of the steps
+            if row["nees_share"] < 0.5:
                 word = "overconfident" if ratio > 1 else "underconfident"
                 out.append(
                     f"Warning: {label} is {word}: its errors are {np.sqrt(ratio):.2g} times what it "
@@ -203,7 +205,7 @@ class Campaign:
         return out
 
     def _repr_html_(self) -> str:
-        from html import escape  # noqa: PLC0415 - only in notebooks
+        from html import escape
 
         return f"<pre>{escape(self.summary())}</pre>"
 
@@ -214,7 +216,7 @@ class Campaign:
         Raises:
             PluginError: if matplotlib is not installed.
         """
-        from tracker.report.campaign import figure  # noqa: PLC0415 - plots are optional
+        from tracker.report.campaign import figure
 
         return figure(self)
 
@@ -224,13 +226,13 @@ class Campaign:
         Raises:
             PluginError: if matplotlib is not installed.
         """
-        from tracker.report.campaign import write  # noqa: PLC0415 - plots are optional
+        from tracker.report.campaign import write
 
         return write(self, Path(path))
 
     def save(self, path: str | Path) -> Path:
         """Write everything to one ``.npz`` file; `load_campaign` reads it back."""
-        from tracker.io.arrays import save_arrays  # noqa: PLC0415 - only when asked for
+        from tracker.io.arrays import save_arrays
 
         arrays = {"t": self.t}
         stages = []
@@ -257,7 +259,7 @@ def load_campaign(path: str | Path) -> Campaign:
     Raises:
         ConfigError: if the file is not one.
     """
-    from tracker.io.arrays import load_arrays  # noqa: PLC0415 - only when asked for
+    from tracker.io.arrays import load_arrays
 
     arrays, metadata = load_arrays(Path(path))
     if metadata.get("kind") != "campaign":
@@ -340,7 +342,7 @@ def _mapped(
 ) -> list[Any]:
     shown: Callable[[Iterable[Any]], Iterable[Any]] = iter
     if progress:
-        from tracker.progress import progress as bar  # noqa: PLC0415 - rich is slow to import
+        from tracker.progress import progress as bar
 
         def shown(items: Iterable[Any]) -> Iterable[Any]:
             return bar(items, "runs", total=len(pieces))
@@ -420,7 +422,7 @@ def _blocks(values: Array) -> Array:
     count = -(-runs // BLOCK)
     padded = np.zeros((steps, count * BLOCK))
     padded[:, :runs] = values
-    return padded.reshape(steps, count, BLOCK).sum(axis=2)
+    return np.asarray(padded.reshape(steps, count, BLOCK).sum(axis=2))
 
 
 def _joined(parts: list[_Reduced], n: int) -> Scores:

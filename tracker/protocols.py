@@ -62,7 +62,7 @@ class MotionModel(Protocol):
         """Derivative of f by the state, ``(n, n, *batch)``, shared axes allowed."""
         ...
 
-    def Q(self, x: Array, dt: Any) -> Array:  # noqa: N802 - the field's letter
+    def Q(self, x: Array, dt: Any) -> Array:
         """Covariance of the process noise of the step, ``(n, n, *batch)``, shared axes allowed."""
         ...
 
@@ -100,7 +100,7 @@ class SensorModel(Protocol):
         """Derivative of h by the state, ``(m, n, *batch)``, shared axes allowed."""
         ...
 
-    def R(self, x: Array, pose: Any = None) -> Array:  # noqa: N802 - the field's letter
+    def R(self, x: Array, pose: Any = None) -> Array:
         """Covariance of the measurement noise, ``(m, m, *batch)``, shared axes allowed."""
         ...
 

@@ -16,7 +16,7 @@ import numpy as np
 from tracker.errors import DomainError, ShapeError, wording
 from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import Array, Gaussian, Record, as_array, square_root
+from tracker.types import Array, ArrayLike, Gaussian, Record, as_array, square_root
 
 STREAMS = {"initial": 0, "process": 1, "measurement": 2, "detection": 3, "prior": 4}
 """Components of randomness and their places in the key; never renumbered."""
@@ -62,6 +62,10 @@ class Simulation:
     runs: tuple[int, ...]
 
 
+def _times_of(value: ArrayLike) -> Array:
+    return as_array(value, "t")
+
+
 @attrs.frozen(eq=False, kw_only=True)
 class Scenario:
     """A problem with a known answer: how truth arises, who measures it, what an estimator is told.
@@ -74,6 +78,7 @@ class Scenario:
     Shapes:
         t ``(T,)`` measurement times; pose ``(T, p)`` or None; path ``(T, n)`` or None; start
         ``(n,)`` or None.
+
     Raises:
         ShapeError, DomainError: when these do not fit together.
     """
@@ -82,7 +87,7 @@ class Scenario:
     motion: MotionModel
     sensor: SensorModel
     prior: Gaussian
-    t: Array = attrs.field(converter=lambda value: as_array(value, "t"))
+    t: Array = attrs.field(converter=_times_of)
     prior_time: float = 0.0
     pose: Array | None = None
     path: Array | None = None
@@ -137,7 +142,9 @@ class Scenario:
                 )
             )
 
-    def simulate(self, seed: int, runs: int | Sequence[int] = 1, *, condition: int = 0) -> Simulation:
+    def simulate(
+        self, seed: int, runs: int | Sequence[int] = 1, *, condition: int = 0
+    ) -> Simulation:
         """Truth, measurements and priors of some runs, all at once.
 
         ``runs`` is a count or the numbers of the runs wanted. The same seed, run and condition give
@@ -161,14 +168,18 @@ class Scenario:
             numbers,
         )
 
-    def _begin(
-        self, seed: int, runs: Sequence[int], condition: int
-    ) -> tuple[Array, Gaussian]:
+    def _begin(self, seed: int, runs: Sequence[int], condition: int) -> tuple[Array, Gaussian]:
         n, count = self.prior.n, len(runs)
         root = square_root(self.prior.cov)
         mean = np.repeat(self.prior.mean[:, None], count, axis=1)
         cov = np.repeat(self.prior.cov[..., None], count, axis=2)
-        known = self.start if self.start is not None else self.path[0] if self.path is not None else None
+        known = (
+            self.start
+            if self.start is not None
+            else self.path[0]
+            if self.path is not None
+            else None
+        )
         if self.initial == INITIAL[0]:
             begin = mean + _times(root, normals(seed, runs, "initial", (n,), condition))
         else:
@@ -214,7 +225,7 @@ class Scenario:
 
 def _times(root: Array, vector: Array) -> Array:
     """Root times vector, lane by lane; a root without lanes, or with one, serves them all."""
-    matrix = root[..., None] if root.ndim == 2 else root  # noqa: PLR2004 - no lanes
+    matrix = root[..., None] if root.ndim == 2 else root
     total: Any = matrix[:, 0] * vector[0]
     for j in range(1, len(vector)):
         total = total + matrix[:, j] * vector[j]
@@ -227,6 +238,6 @@ def scenario(name: str, **parameters: Any) -> Scenario:
     Raises:
         UnknownComponent: with the nearest names, if there is none.
     """
-    from tracker.registry import scenarios  # noqa: PLC0415 - discovery costs time
+    from tracker.registry import scenarios
 
     return scenarios.make(name, **parameters)  # type: ignore[return-value]

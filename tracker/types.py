@@ -12,7 +12,7 @@ ones uses ``Gaussian.trusted`` and pays nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import attrs
@@ -24,7 +24,9 @@ from tracker.errors import DomainError, ShapeError, wording
 Array = npt.NDArray[np.float64]
 ArrayLike = npt.ArrayLike
 
-_AXIS = re.compile(r"^\s*(?P<name>[A-Za-z_]\w*)\s*(\[(?P<unit>[^\]]*)\])?\s*(?P<circular>circular)?\s*$")
+_AXIS = re.compile(
+    r"^\s*(?P<name>[A-Za-z_]\w*)\s*(\[(?P<unit>[^\]]*)\])?\s*(?P<circular>circular)?\s*$"
+)
 
 
 def as_array(value: ArrayLike, name: str) -> Array:
@@ -56,6 +58,10 @@ class Axis:
     circular: bool = False
 
 
+def _axes(axes: Iterable[Axis]) -> tuple[Axis, ...]:
+    return tuple(axes)
+
+
 @attrs.frozen
 class Space:
     """The named components of a vector: their order, units, and which of them live on a circle.
@@ -66,7 +72,7 @@ class Space:
     (('x', 'y', 'heading'), 2, (False, False, True))
     """
 
-    axes: tuple[Axis, ...] = attrs.field(converter=tuple)
+    axes: tuple[Axis, ...] = attrs.field(converter=_axes)
 
     @axes.validator
     def _unique(self, _attribute: object, axes: tuple[Axis, ...]) -> None:
@@ -237,6 +243,7 @@ class Gaussian:
 
     Shapes:
         mean ``(n, *batch)``; cov ``(n, n, *batch)``, or ``(n, n)`` for one shared by the batch.
+
     Raises:
         ShapeError: if the shapes do not fit together.
         DomainError: if cov is not symmetric positive semi-definite, or if a single state (no batch
@@ -271,7 +278,7 @@ class Gaussian:
                     do="check how the mean was computed",
                 )
             )
-        self.__attrs_init__(mean, _checked_covariance(as_array(cov, "cov"), mean))  # type: ignore[attr-defined]
+        self.__attrs_init__(mean, _checked_covariance(as_array(cov, "cov"), mean))
 
     @classmethod
     def trusted(cls, mean: Array, cov: Array) -> Gaussian:
@@ -380,6 +387,7 @@ class Record:
         of a list measured at each step, or None when there is one.
     Units:
         seconds, and those of the sensor's spaces.
+
     Raises:
         ShapeError: if shapes do not fit. DomainError: on inf, or when time runs backwards.
     """
@@ -409,7 +417,7 @@ class Record:
                 )
             )
         steps, batch = values.shape[0], values.shape[2:]
-        if times.shape != (steps,) and times.shape != (steps, *batch):
+        if times.shape not in ((steps,), (steps, *batch)):
             raise ShapeError(
                 wording(
                     "argument 't'",
@@ -428,10 +436,9 @@ class Record:
                 )
             )
         _no_infinity(values, "z")
-        arrays = []
+        arrays: dict[str, Array] = {}
         for name, extra in (("u", u), ("pose", pose)):
             if extra is None:
-                arrays.append(None)
                 continue
             array = as_array(extra, name)
             fits = array.ndim >= 2 and array.shape[0] == steps
@@ -453,7 +460,7 @@ class Record:
                         do="fill the gaps before filtering",
                     )
                 )
-            arrays.append(array)
+            arrays[name] = array
         which = None
         if sensor is not None:
             which = np.asarray(sensor)
@@ -467,7 +474,7 @@ class Record:
                     )
                 )
             which = which.astype(np.intp)
-        self.__attrs_init__(times, values, *arrays, which)  # type: ignore[attr-defined]
+        self.__attrs_init__(times, values, arrays.get("u"), arrays.get("pose"), which)
 
     @property
     def batch(self) -> tuple[int, ...]:
@@ -486,6 +493,7 @@ class Scan:
         z ``(m, D, *batch)``: D detection slots; mask ``(D, *batch)``: which slots hold a detection;
         pose ``(p, *batch)`` or None. ``sensor`` names the sensor. A scan without detections is a
         value like any other: it says that everything was missed.
+
     Raises:
         ShapeError, DomainError: on shapes that do not fit and on inf.
     """
@@ -516,18 +524,19 @@ class Scan:
             )
         _no_infinity(values, "z")
         seen = ~np.isnan(values).all(axis=0)
-        present = seen if mask is None else np.asarray(mask, dtype=np.bool_) & seen
-        if present.shape != values.shape[1:]:
+        given = seen if mask is None else np.asarray(mask, dtype=np.bool_)
+        if given.shape != values.shape[1:]:
             raise ShapeError(
                 wording(
                     "argument 'mask'",
-                    got=f"shape {np.shape(mask)}",
+                    got=f"shape {given.shape}",
                     expected=f"{values.shape[1:]}",
                     do="give one flag per detection slot",
                 )
             )
+        present: npt.NDArray[np.bool_] = np.logical_and(given, seen)
         where = None if pose is None else as_array(pose, "pose")
-        self.__attrs_init__(float(t), values, present, where, sensor)  # type: ignore[attr-defined]
+        self.__attrs_init__(float(t), values, present, where, sensor)
 
     @property
     def detections(self) -> int:
@@ -583,7 +592,7 @@ class Association:
     @property
     def hard(self) -> npt.NDArray[np.intp]:
         """The likeliest slot of each track, ``(tracks, *batch)``; D means missed."""
-        return self.weights.argmax(axis=1)
+        return np.asarray(self.weights.argmax(axis=1), dtype=np.intp)
 
 
 @attrs.frozen(eq=False)

@@ -38,9 +38,7 @@ class KalmanFilter:
         """``H x`` and ``H P H' + R``."""
         z, H = linearise(sensor, state.mean, pose)
         HP = product(H, state.cov)
-        return Projection(
-            z, symmetric_product(HP, H) + sensor.R(state.mean, pose), transpose(HP)
-        )
+        return Projection(z, symmetric_product(HP, H) + sensor.R(state.mean, pose), transpose(HP))
 
     def update(
         self,

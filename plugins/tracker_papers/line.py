@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from tracker_motion.constant_velocity import constant_velocity
-from tracker_sensors.position import position
 
 from tracker.simulation import Scenario
 from tracker.types import Gaussian
+from tracker_motion.constant_velocity import constant_velocity
+from tracker_sensors.position import position
 
 
 def line(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from tracker_motion.constant_velocity import constant_velocity
-from tracker_sensors.azimuth import azimuth
 
 from tracker.models import one_of
 from tracker.simulation import Scenario
 from tracker.types import Array, Gaussian
+from tracker_motion.constant_velocity import constant_velocity
+from tracker_sensors.azimuth import azimuth
 
 PATHS = ("straight", "manoeuvring")
 
@@ -37,7 +37,9 @@ def moving_observer(
         motion=constant_velocity(density=1e-6),
         sensor=azimuth(sigma),
         truth_motion=truth_motion,
-        prior=Gaussian([6000.0, 5000.0, 0.0, 0.0], np.diag([3000.0**2, 3000.0**2, 10.0**2, 10.0**2])),
+        prior=Gaussian(
+            [6000.0, 5000.0, 0.0, 0.0], np.diag([3000.0**2, 3000.0**2, 10.0**2, 10.0**2])
+        ),
         start=None if initial == "truth from prior" else start,
         initial=initial,
         t=10.0 * np.arange(1, 121),

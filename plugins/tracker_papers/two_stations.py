@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from tracker_motion.constant_velocity import constant_velocity
-from tracker_sensors.azimuth import azimuth
-from tracker_sensors.stack import stack
 
 from tracker.simulation import Scenario
 from tracker.types import Gaussian
+from tracker_motion.constant_velocity import constant_velocity
+from tracker_sensors.azimuth import azimuth
+from tracker_sensors.stack import stack
 
 
 def two_stations(
@@ -29,10 +29,12 @@ def two_stations(
 
     Reference: paper 0, eq. 26-31, 34, 35.
     """
-    sensor = stack([
-        azimuth(sigma).at(sx=1.0, sy=1.0),
-        azimuth(sigma).at(sx=4.0, sy=1.1),
-    ])
+    sensor = stack(
+        [
+            azimuth(sigma).at(sx=1.0, sy=1.0),
+            azimuth(sigma).at(sx=4.0, sy=1.1),
+        ]
+    )
     return Scenario(
         name="two_stations",
         motion=constant_velocity(density=density),

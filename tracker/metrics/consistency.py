@@ -55,7 +55,7 @@ def chi_square_band(degrees: float, probability: float = 0.95, *, per: float = 1
     >>> round(band.low, 3), round(band.high, 3)
     (3.712, 4.301)
     """
-    from scipy.special import chdtri  # noqa: PLC0415 - SciPy stays out of `import tracker`
+    from scipy.special import chdtri
 
     if degrees <= 0:
         return Band(np.nan, np.nan, probability)
@@ -76,7 +76,7 @@ class Interval:
 
 def mean_interval(samples: Any, probability: float = 0.95) -> Interval:
     """Mean of independent samples with its Student-t confidence interval; NaN samples are left out."""
-    from scipy.special import stdtrit  # noqa: PLC0415 - SciPy stays out of `import tracker`
+    from scipy.special import stdtrit
 
     values = np.asarray(samples, dtype=np.float64)
     values = values[np.isfinite(values)]
