@@ -24,7 +24,7 @@ def wrapped(angle: Any) -> Any:
     np.floor(turns, turns)
     turns *= TAU
     turns += angle
-    return np.minimum(turns, math.pi, turns)
+    return np.minimum(turns, math.pi, out=turns)
 
 
 def _shared(F: Any) -> bool:

@@ -63,7 +63,7 @@ def array_form(roots: Sequence[Entry], inputs: Sequence[str], label: str) -> Cal
             continue
         arguments = ", ".join(f"v{a.index}" for a in n.args)
         if n.index in target and n.op != "where":
-            body.append(f"    v{n.index} = _{n.op}({arguments}, o[{target[n.index]}])")
+            body.append(f"    v{n.index} = _{n.op}({arguments}, out=o[{target[n.index]}])")
         elif n.op in _INFIX:
             body.append(f"    v{n.index} = v{n.args[0].index} {_INFIX[n.op]} v{n.args[1].index}")
         elif n.op == "recip":
