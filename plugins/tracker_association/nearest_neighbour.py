@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import attrs
 import numpy as np
 import numpy.typing as npt
@@ -39,11 +41,11 @@ class NearestNeighbour:
         """Hand out detections, the nearest pair first."""
         left = np.where(possible_pairs(distance, admitted), distance, np.inf)
         tracks, detections, *batch = left.shape
-        left = left.reshape(tracks, detections, -1)
-        weights = np.zeros((tracks, detections + 1, left.shape[2]))
-        lanes = np.arange(left.shape[2])
+        lanes = np.arange(math.prod(batch))
+        left = left.reshape(tracks, detections, len(lanes))
+        weights = np.zeros((tracks, detections + 1, len(lanes)))
         for _ in range(min(tracks, detections)):
-            first = left.reshape(-1, len(lanes)).argmin(axis=0)
+            first = left.reshape(tracks * detections, len(lanes)).argmin(axis=0)
             track, detection = np.divmod(first, detections)
             found = np.isfinite(left[track, detection, lanes])
             if not found.any():
