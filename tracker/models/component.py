@@ -326,7 +326,8 @@ class ComponentFunction:
         if not shared:
             batch = _broadcast(batch, a, self.trace)
         out = np.empty((count, *batch))
-        self._form(what, "array")[0](a, out)
+        with np.errstate(all="ignore"):  # a lane at a singular place is NaN, and harms no neighbour
+            self._form(what, "array")[0](a, out)
         return out
 
     def _carefully(self, what: str, a: Sequence[float]) -> Array:
