@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, cast
+from typing import Any, cast
 
 import attrs
 import numpy as np
@@ -78,7 +78,7 @@ class LinearMotion:
 
 
 def linear(
-    space: Annotated[Space, "state components"],
+    space: Space,
     F: ArrayLike,
     *,
     L: ArrayLike | None = None,

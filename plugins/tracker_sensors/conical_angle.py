@@ -83,7 +83,7 @@ def conical_angle(
     Raises:
         DomainError: if sigma is not positive, or ``form`` or ``axes`` is not offered.
     Reference:
-        Van Trees, Optimum Array Processing, 2002, section 2.2.
+        Van Trees, Optimum Array Processing, 2002, chapter 2.
     Laws:
         those of kind "sensor"; the cosine is the dot product of array axis and direction; mirrored
         targets measure alike.

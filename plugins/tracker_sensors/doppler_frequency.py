@@ -69,7 +69,7 @@ def doppler_frequency(
     Raises:
         DomainError: if sigma, carrier or speed is not positive, or ``axes`` is neither 2 nor 3.
     Reference:
-        Pierce, Acoustics, 2019, section 9 (moving source and receiver).
+        Landau and Lifshitz, Fluid Mechanics, 2nd edition, 1987, section 68.
     Laws:
         those of kind "sensor"; first order equal to the range rate; at zero range that lane is NaN.
 

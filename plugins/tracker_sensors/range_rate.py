@@ -53,8 +53,7 @@ def range_rate(
     Raises:
         DomainError: if sigma is not positive, or ``axes`` is neither 2 nor 3.
     Reference:
-        Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation,
-        2001, section 10.
+        paper 3, eq. (3)-(4), differentiated in time.
     Laws:
         those of kind "sensor"; equal to the time derivative of the range; at zero range that lane
         is NaN.

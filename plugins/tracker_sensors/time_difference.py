@@ -105,7 +105,7 @@ def time_difference(
             coordinates.
     Reference:
         Chan and Ho, A simple and efficient estimator for hyperbolic location, IEEE Transactions on
-        Signal Processing 42 (1994), eq. (2), (5).
+        Signal Processing 42 (1994) 1905-1915.
     Laws:
         those of kind "sensor"; swapping two receivers of a pair changes the sign.
 
