@@ -20,6 +20,10 @@ from tracker.types import ArrayLike, Gaussian, History, Innovation, Record, Traj
 LANE_BYTES = 128_000
 """Temporaries above this size page-fault: lanes are worked in tiles of this many bytes of P."""
 
+PAIR = [0, 0]
+"""A batch of one lane is worked as two: products over a single lane take other code paths, and a
+lane's bits must not depend on its company."""
+
 
 # ------------------------------------------------------------------------------ capabilities
 def missing_capabilities(component: Any, needs: Sequence[str]) -> list[str]:
@@ -262,6 +266,9 @@ def filter(  # noqa: A001 - the field's word
         bit-equal results for any batch of lanes; NaN components are not measured.
     """
     prior = _fitting(estimator, record, prior, start)
+    if record.batch and int(np.prod(record.batch)) == 1:
+        wide = filter(estimator, record_lanes(record, PAIR), prior[..., PAIR], start=start)
+        return _history_lanes(wide, slice(0, 1))
     history = _allocated(estimator, record, prior)
     with np.errstate(all="ignore"):
         for tile in tiles(record.batch, prior.n):
@@ -293,6 +300,8 @@ def smoothed(estimator: Estimator, history: History) -> History:
     smoother = estimator.smoother
     assert smoother is not None  # noqa: S101 - callers checked
     batch, n = history.filtered.batch, history.filtered.mean.shape[1]
+    if batch and int(np.prod(batch)) == 1:
+        return _history_lanes(smoothed(estimator, _history_lanes(history, PAIR)), slice(0, 1))
     parts = tiles(batch, n)
     if len(parts) == 1:
         return smoother.smooth(history, estimator.motion)
@@ -470,8 +479,8 @@ def _tile(
     return estimator.lanes(tile), (cut, state), _history_lanes(history, tile)
 
 
-def record_lanes(record: Record, index: slice) -> Record:
-    """Some lanes of a record with one batch axis."""
+def record_lanes(record: Record, index: Any) -> Record:
+    """Some lanes of a record, picked on its last batch axis."""
     per_lane = {"t": record.t, "u": record.u, "pose": record.pose}
     base = {"t": 1, "u": 2, "pose": 2}
     cut = {k: v if v is None or v.ndim == base[k] else v[..., index] for k, v in per_lane.items()}
@@ -481,8 +490,8 @@ def record_lanes(record: Record, index: slice) -> Record:
     return made
 
 
-def _history_lanes(history: History, index: slice) -> History:
-    """Views of some lanes: what is written into them is written into the whole."""
+def _history_lanes(history: History, index: Any) -> History:
+    """Some lanes; a slice gives views: what is written into them is written into the whole."""
 
     def of(trajectory: Trajectory) -> Trajectory:
         return Trajectory(trajectory.mean[..., index], trajectory.cov[..., index])

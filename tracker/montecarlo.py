@@ -367,7 +367,6 @@ def _chunk(
     simulation = scenario.simulate(seed, runs, condition=condition)
     out = {}
     for name, built in estimators.items():
-        # A chunk of one lane takes other code paths than many: pad it, score one.
         history = estimation.filter(
             built, simulation.record, simulation.prior, start=simulation.start
         )

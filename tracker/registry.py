@@ -7,6 +7,7 @@ component of every plugin costs milliseconds.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
 import html
@@ -575,8 +576,11 @@ def _text(component: Component) -> str:
 
 @functools.cache  # one distribution has many entry points, and reading its metadata is slow
 def _origin(distribution: Distribution | None) -> Origin:
-    # A damaged installation may lack either; that must not stop the other plugins.
-    metadata: Any = {} if distribution is None else distribution.metadata
+    # A damaged installation may lack either (Python 3.15 then raises a FileNotFoundError where it
+    # used to answer nothing); that must not stop the other plugins.
+    metadata: Any = {}
+    with contextlib.suppress(FileNotFoundError):
+        metadata = {} if distribution is None else distribution.metadata
     return Origin(metadata.get("Name") or "unknown distribution", metadata.get("Version") or "")
 
 

@@ -1,0 +1,227 @@
+"""Scenarios, keyed randomness, Monte Carlo campaigns: reproducible, groupable, honest in words."""
+
+import pickle
+
+import attrs
+import numpy as np
+import pytest
+from scipy import stats
+
+import tracker as tk
+from tracker.errors import ConfigError, DomainError, ShapeError, UnknownComponent
+from tracker.metrics.consistency import chi_square_band, mean_interval, nees
+from tracker.simulation import stream
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return tk.scenario("two_stations", steps=30)
+
+
+@pytest.fixture(scope="module")
+def est(scene):
+    return tk.estimator(motion=scene.motion, sensor=scene.sensor, smoother="rts")
+
+
+# -------------------------------------------------------------------------------- simulation
+def test_one_run_can_be_remade_alone(scene):
+    many, alone = scene.simulate(7, 50), scene.simulate(7, [31])
+    np.testing.assert_array_equal(alone.truth[..., 0], many.truth[..., 31])
+    np.testing.assert_array_equal(alone.record.z[..., 0], many.record.z[..., 31])
+    np.testing.assert_array_equal(alone.prior.mean[:, 0], many.prior.mean[:, 31])
+
+
+def test_runs_conditions_and_seeds_are_different_worlds(scene):
+    base = scene.simulate(7, 2)
+    for other in (
+        scene.simulate(8, 2),
+        scene.simulate(7, 2, condition=1),
+        scene.simulate(7, [5, 6]),
+    ):
+        assert not (other.record.z == base.record.z).any()
+
+
+def test_components_of_randomness_do_not_share_a_stream():
+    draws = {name: stream(1, 0, name).standard_normal() for name in ("initial", "process", "prior")}
+    assert len(set(draws.values())) == 3
+
+
+def test_the_estimator_never_changes_what_is_simulated(scene):
+    # missing measurements leave truth and the other measurements as they were
+    gaps = tk.scenario("two_stations", steps=30, detection_probability=0.7)
+    full, holes = scene.simulate(3, 40), gaps.simulate(3, 40)
+    seen = ~np.isnan(holes.record.z)
+    np.testing.assert_array_equal(holes.record.z[seen], full.record.z[seen])
+    # 2,400 trials: a share outside 0.7 +- 0.05 has probability below 1e-7
+    assert abs(seen.mean() - 0.7) < 0.05
+
+
+def test_truth_from_prior_has_the_moments_of_the_prior():
+    scene = tk.scenario("line", steps=1)
+    scene = attrs.evolve(scene, t=np.array([1e-9]))
+    x = scene.simulate(1, 4000).truth[0]
+    # z-scores of two means, false alarm 1e-6 each
+    z = x.mean(axis=1) / np.sqrt(np.diag(scene.prior.cov) / 4000)
+    assert (np.abs(z) < 4.9).all()
+    ratio = x.var(axis=1) / np.diag(scene.prior.cov)
+    low, high = stats.chi2.ppf([5e-7, 1 - 5e-7], 3999) / 3999
+    assert ((low < ratio) & (ratio < high)).all()
+
+
+def test_prior_around_truth_keeps_the_truth_and_draws_the_belief():
+    scene = tk.scenario("moving_observer", initial="prior around truth")
+    simulation = scene.simulate(1, 100)
+    np.testing.assert_allclose(simulation.truth[0, 0], 6000.0 + 10 * 3.0)
+    assert simulation.prior.mean[0].std() > 1000
+
+
+def test_simulated_angles_are_wrapped(scene):
+    z = tk.scenario("two_stations", steps=200, sigma=1.0).simulate(1, 20).record.z
+    assert (z > -np.pi).all()
+    assert (z <= np.pi).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"initial": "somehow"}, DomainError, "truth from prior"),
+        ({"initial": "fixed", "start": None}, DomainError, "true initial state"),
+        ({"start": np.zeros(3)}, ShapeError, "'start'"),
+        ({"path": np.zeros((2, 4))}, ShapeError, "one row per measurement time"),
+        ({"detection_probability": 1.5}, DomainError, "probability"),
+        ({"prior": tk.Gaussian([0.0], [[1.0]])}, ShapeError, "prior"),
+    ],
+)
+def test_a_wrong_scenario_says_what_to_do(scene, change, error, words):
+    with pytest.raises(error, match=words):
+        attrs.evolve(scene, **change)
+
+
+def test_a_fixed_path_is_followed_exactly(scene):
+    path = np.outer(np.arange(30.0), [1.0, 2.0, 0.0, 0.0])
+    truth = attrs.evolve(scene, path=path).simulate(1, 3).truth
+    np.testing.assert_array_equal(truth[..., 1], path)
+
+
+# --------------------------------------------------------------------------------- campaigns
+def same(a, b):
+    for stage in ("filter", "smoother"):
+        for group in ("per_run", "per_step"):
+            left = getattr(a.scores["estimator"][stage], group)
+            right = getattr(b.scores["estimator"][stage], group)
+            for name in left:
+                np.testing.assert_array_equal(left[name], right[name], err_msg=f"{stage} {name}")
+
+
+def test_chunks_and_workers_change_no_bit(est, scene):
+    base = tk.monte_carlo(est, scene, runs=100, seed=5)
+    same(base, tk.monte_carlo(est, scene, runs=100, seed=5, chunk=32))
+    same(base, tk.monte_carlo(est, scene, runs=100, seed=5, chunk=33, workers=2))
+
+
+def test_more_runs_repeat_the_first_ones(est, scene):
+    few, many = (tk.monte_carlo(est, scene, runs=n, seed=5) for n in (33, 65))
+    for name, value in few.scores["estimator"]["filter"].per_run.items():
+        np.testing.assert_array_equal(value, many.scores["estimator"]["filter"].per_run[name][:33])
+
+
+def test_a_single_run_has_the_bits_that_it_has_in_company(est, scene):
+    one, many = (tk.monte_carlo(est, scene, runs=n, seed=5) for n in (1, 40))
+    for name, value in one.scores["estimator"]["smoother"].per_run.items():
+        np.testing.assert_array_equal(value, many.scores["estimator"]["smoother"].per_run[name][:1])
+
+
+def test_reductions_equal_the_scores_of_the_histories(est, scene):
+    campaign = tk.monte_carlo(est, scene, runs=20, seed=5)
+    simulation = scene.simulate(5, 20)
+    history = tk.smooth(est, simulation.record, simulation.prior, start=simulation.start)
+    errors = history.smoothed.mean - simulation.truth
+    squared = (errors[:, :2] ** 2).sum(axis=1)
+    scores = campaign.scores["estimator"]["smoother"]
+    np.testing.assert_allclose(scores.per_run["rmse"], np.sqrt(squared.mean(axis=0)))
+    np.testing.assert_allclose(scores.per_step["squared_error"], squared.mean(axis=1))
+    P = np.moveaxis(history.smoothed.cov, (1, 2), (-2, -1))
+    e = np.moveaxis(errors, 1, -1)
+    direct = np.einsum("tri,tri->tr", e, np.linalg.solve(P, e[..., None])[..., 0])
+    np.testing.assert_allclose(scores.per_step["nees"], direct.mean(axis=1), rtol=1e-7)
+
+
+def test_estimators_in_one_campaign_see_the_same_measurements(scene, est):
+    other = tk.estimator("ekf1_joseph", motion=scene.motion, sensor=scene.sensor)
+    campaign = tk.monte_carlo({"a": est, "b": other}, scene, runs=30, seed=2)
+    a, b = (campaign.scores[k]["filter"].per_run["rmse"] for k in "ab")
+    np.testing.assert_allclose(a, b, rtol=1e-6)
+    assert set(campaign.scores["a"]) == {"filter", "smoother"}
+    assert set(campaign.scores["b"]) == {"filter"}
+
+
+def test_a_campaign_survives_a_file(tmp_path, est, scene):
+    campaign = tk.monte_carlo(est, scene, runs=10, seed=2)
+    loaded = tk.load_campaign(campaign.save(tmp_path / "campaign.npz"))
+    same(campaign, loaded)
+    assert loaded.summary() == campaign.summary()
+    (tmp_path / "other.npz").write_bytes(b"nothing")
+    with pytest.raises(ConfigError):
+        tk.load_campaign(tmp_path / "other.npz")
+
+
+def test_the_summary_warns_in_words_of_an_overconfident_filter():
+    scene = tk.scenario("moving_observer")
+    est = tk.estimator(motion=scene.motion, sensor=scene.sensor)
+    text = tk.monte_carlo(est, scene, runs=64, seed=1).summary()
+    assert "overconfident" in text
+    assert "diverged in" in text
+
+
+def test_the_summary_of_a_consistent_filter_warns_of_nothing():
+    scene = tk.scenario("line", steps=40)
+    est = tk.estimator("kf", motion=scene.motion, sensor=scene.sensor, smoother="rts")
+    campaign = tk.monte_carlo(est, scene, runs=200, seed=1)
+    assert "Warning" not in campaign.summary()
+    assert "NIS" not in campaign.summary("rmse")
+    with pytest.raises(UnknownComponent, match="rmse, nees"):
+        campaign.summary("speed")
+
+
+@pytest.mark.parametrize("argument", ["runs", "workers", "chunk"])
+def test_counts_below_one_are_refused(est, scene, argument):
+    with pytest.raises(DomainError, match=argument):
+        tk.monte_carlo(est, scene, **{argument: -1})
+
+
+def test_estimators_and_scenarios_travel_to_other_processes(est, scene):
+    again, back = pickle.loads(pickle.dumps((est, scene)))
+    same(tk.monte_carlo(est, scene, runs=5), tk.monte_carlo(again, back, runs=5))
+
+
+# ------------------------------------------------------------------------------- consistency
+def test_bands_hold_what_they_promise():
+    band = chi_square_band(3 * 50, 0.9, per=50)
+    rng = np.random.default_rng(1)
+    means = rng.chisquare(3, size=(4000, 50)).mean(axis=1)
+    share = ((band.low <= means) & (means <= band.high)).mean()
+    assert abs(share - 0.9) < 0.025  # 5.3 standard errors: false alarm about 1e-7
+
+
+@pytest.mark.parametrize(
+    ("mean", "verdict"),
+    [(3.0, "consistent"), (30.0, "overconfident"), (0.1, "underconfident"), (np.nan, "undefined")],
+)
+def test_a_band_gives_its_verdict_in_a_word(mean, verdict):
+    assert chi_square_band(300, per=100).verdict(mean) == verdict
+
+
+def test_confidence_intervals_cover_and_leave_nan_out():
+    rng = np.random.default_rng(2)
+    hits = 0
+    for _ in range(2000):
+        interval = mean_interval(np.append(rng.standard_normal(8) + 5, np.nan))
+        hits += interval.low <= 5 <= interval.high
+    assert abs(hits / 2000 - 0.95) < 0.03  # 6 standard errors
+    assert np.isnan(mean_interval([np.nan]).value)
+
+
+def test_nees_of_a_singular_direction_counts_nothing():
+    cov = np.zeros((1, 2, 2, 1))
+    cov[0, 0, 0] = 4.0
+    assert nees(np.array([[[2.0], [0.0]]]), cov)[0, 0] == pytest.approx(1.0)
