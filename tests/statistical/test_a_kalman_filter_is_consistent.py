@@ -4,7 +4,6 @@ Seeds are fixed, so a test passes always or never; the stated probability is tha
 had the seed been drawn anew.
 """
 
-import numpy as np
 import pytest
 
 import tracker as tk
