@@ -392,9 +392,9 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
             "rmse": np.sqrt(_time_mean(squared)),
             "final_error": np.sqrt(squared[-1]),
             "nees": _time_mean(score),
-            "nis": nis.sum(axis=0),
-            "count": innovation.count.sum(axis=0),
-            "loglik": innovation.loglik.sum(axis=0),
+            "nis": _time_sum(nis),
+            "count": _time_sum(innovation.count),
+            "loglik": _time_sum(innovation.loglik),
         }
     values = {
         "squared_error": squared,
@@ -407,12 +407,16 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
     return _Reduced(per_run, partial)
 
 
-def _time_mean(values: Array) -> Array:
-    """Mean over time, step by step, so that a lane's bits do not depend on how many there are."""
+def _time_sum(values: Array) -> Array:
+    """Sum over time, step by step, so that a lane's bits do not depend on how many there are."""
     total = np.zeros(values.shape[1:])
     for row in values:
         total += row
-    return total / max(len(values), 1)
+    return total
+
+
+def _time_mean(values: Array) -> Array:
+    return _time_sum(values) / max(len(values), 1)
 
 
 def _blocks(values: Array) -> Array:

@@ -294,7 +294,7 @@ def test_a_third_partys_matrix_without_batch_axes_is_refused_instead_of_broadcas
             return np.eye(4)
 
     est = tk.estimator(motion=Careless(), sensor=BEARINGS)
-    with pytest.raises(ShapeError, match="Q.*length 1"):
+    with pytest.raises(ShapeError, match=r"Q.*length 1"):
         tk.filter(est, bearings(3, (4,)), PRIOR)
 
 
