@@ -109,7 +109,7 @@ def residual(z: Any, zhat: Any, circular: bool | tuple[bool, ...]) -> Any:
         return lanes.wrapped(difference)
     for i, flag in enumerate(circular):
         if flag:
-            difference[i] = lanes.wrapped(difference[i])
+            difference[i : i + 1] = lanes.wrapped(difference[i : i + 1])
     return difference
 
 

@@ -263,12 +263,13 @@ class ComponentFunction:
     def first(self, x: Any, keywords: Mapping[str, Any]) -> Any:
         """Jacobian by the whole state, ``(m, n, *batch)``."""
         out = self._run("first", x, keywords)
-        return out.reshape((-1, self.width, *out.shape[1:]))
+        return out.reshape((len(out) // self.width, self.width, *out.shape[1:]))
 
     def second(self, x: Any, keywords: Mapping[str, Any]) -> Any:
         """Hessians by the whole state, ``(m, n, n, *batch)``."""
         out = self._run("second", x, keywords)
-        return out.reshape((-1, self.width, self.width, *out.shape[1:]))
+        m = len(out) // self.width**2  # not -1: a batch may be empty
+        return out.reshape((m, self.width, self.width, *out.shape[1:]))
 
     def linearise(self, x: Any, keywords: Mapping[str, Any]) -> tuple[Any, Any]:
         """Outputs and Jacobian, sharing what they have in common; `Columns` for arrays of lanes."""
