@@ -132,7 +132,7 @@ class Pipeline:
         Raises:
             DomainError: if it is. ShapeError: if the tracks do not fit the motion.
         """
-        _check_tracks(tracks, self.motion)
+        _check(self, tracks, ())
         with np.errstate(all="ignore"):
             return Tracks(float(t), self._moved(tracks, float(t)), tracks.ids)
 
@@ -144,7 +144,7 @@ class Pipeline:
             ShapeError: if scan or tracks do not fit sensor and motion.
             CapabilityError: if the associator shares detections out in fractions.
         """
-        _check_tracks(tracks, self.motion)
+        _check(self, tracks, (scan,))
         with np.errstate(all="ignore"):
             return self._step(tracks, scan)
 
@@ -165,7 +165,7 @@ class Pipeline:
             as `step`.
         """
         todo = [s for s in scans if not skip_unknown or s.sensor in self.sensors]
-        _check_tracks(tracks, self.motion)
+        _check(self, tracks, {scan.sensor: scan for scan in reversed(todo)}.values())
         history = _allocated(tracks, todo, self.sensors)
         with np.errstate(all="ignore"):
             for k, scan in enumerate(todo):
@@ -184,7 +184,7 @@ class Pipeline:
             raise DomainError(
                 wording(
                     "time of a scan",
-                    got=f"t = {t} s, {-dt:.6g} s before the tracks' t = {tracks.t} s",
+                    got=f"t = {t:.15g} s, {-dt:.6g} s before the tracks' t = {tracks.t:.15g} s",
                     expected="scans that are not earlier than the tracks",
                     do="sort the scans by time, and drop those before the tracks start",
                 )
@@ -319,7 +319,9 @@ def _unfit(pipeline: Pipeline, bound: dict[str, SensorModel]) -> list[str]:
     return wrong
 
 
-def _check_tracks(tracks: Tracks, motion: MotionModel) -> None:
+def _check(pipeline: Pipeline, tracks: Tracks, scans: Iterable[Scan]) -> None:
+    """What need not be looked at again in every step."""
+    motion = pipeline.motion
     moments = tracks.state.moments()
     mean, cov, n = moments.mean, moments.cov, motion.space.size
     if mean.shape[:2] != (n, len(tracks.ids)) or cov.shape != (n, *mean.shape):
@@ -332,14 +334,22 @@ def _check_tracks(tracks: Tracks, motion: MotionModel) -> None:
             )
         )
     with np.errstate(all="ignore"):
-        noise = motion.Q(mean, 0.0)
-    if noise.ndim != cov.ndim:  # it would be added to the wrong axes, unnoticed
+        _check_noise(f"motion {_name(motion)!r}: Q", motion.Q(mean, 0.0), cov.ndim)
+        for scan in scans:
+            sensor = _sensor_of(scan, pipeline.sensors)
+            pose = scan.pose if sensor.pose_space.size else None
+            _check_noise(f"sensor {scan.sensor!r}: R", sensor.R(mean, pose), cov.ndim)
+
+
+def _check_noise(label: str, noise: Array, axes: int) -> None:
+    """A matrix without batch axes would be added to lanes along the wrong axes, unnoticed."""
+    if noise.ndim != axes:
         raise ShapeError(
             wording(
-                f"motion {_name(motion)!r}: Q",
-                got=f"shape {noise.shape} for states of shape {mean.shape}",
-                expected=f"{cov.ndim} axes; those of the batch may have length 1",
-                do="return Q.reshape(n, n, 1, ...)",
+                label,
+                got=f"shape {noise.shape} for several lanes",
+                expected=f"{axes} axes; those of the lanes may have length 1",
+                do="return it reshaped to (n, n, 1, ...)",
             )
         )
 

@@ -1,24 +1,59 @@
-"""How well tracks followed known targets: error, consistency in words, use of the scans, time.
+"""Tracks against known targets: a true start, then error, consistency in words, use of scans, time.
 
 What it means to be consistent is decided in `consistency`; how the tracks were made, elsewhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
-from tracker.errors import ShapeError, wording
+from tracker.errors import DomainError, ShapeError, wording
 from tracker.metrics.consistency import Band, chi_square_band, nees
-from tracker.types import Array
+from tracker.types import Array, Gaussian, Space, Tracks
 
 if TYPE_CHECKING:
+    from tracker.io.detections import TruthTrack
     from tracker.pipeline import PipelineHistory
 
 _PLACE = {"overconfident": "above", "underconfident": "below", "consistent": "inside"}
+
+
+def true_start(
+    truth: Mapping[str, TruthTrack], space: Space, *, seconds: float, sigma: Sequence[float]
+) -> Tracks:
+    """Tracks that start where the targets were, and as they moved, when all paths had begun.
+
+    Place and velocity are those of the straight line that fits the fixes of the first ``seconds``
+    best; other components of the state are zero. All tracks share the covariance of ``sigma``.
+
+    Units:
+        s; sigma in those of ``space``.
+
+    Raises:
+        DomainError: if a path has less than two fixes there, or the space lacks x, y, vx or vy.
+        ShapeError: if sigma is not one per component.
+    """
+    start = max((path.t[0] for path in truth.values()), default=0.0)
+    mean = np.zeros((space.size, len(truth)))
+    for i, (name, path) in enumerate(truth.items()):
+        early = (path.t >= start) & (path.t <= start + seconds)
+        if early.sum() < 2:
+            raise DomainError(
+                wording(
+                    f"the truth of {name!r}",
+                    got=f"{early.sum()} fixes from {start} s to {start + seconds} s",
+                    expected="at least two, to tell place and velocity",
+                    do="give more seconds, or drop paths that have ended by then",
+                )
+            )
+        line = np.polynomial.polynomial.polyfit(path.t[early] - start, path.position[:, early].T, 1)
+        mean[list(space.indices("x", "y", "vx", "vy")), i] = line.ravel()
+    cov = np.diag(np.square(sigma))
+    return Tracks(float(start), Gaussian(mean, cov), tuple(truth))
 
 
 @attrs.frozen(kw_only=True)
@@ -59,7 +94,7 @@ class TrackScore:
         >>> wide, narrow = chi_square_band(2), chi_square_band(400, per=200)
         >>> TrackScore(id="1", rmse=79.0, nis=2.1, nis_band=narrow, nees=9868.0, nees_band=wide,
         ...            used=0.5, seconds=2e-4).words
-        'overconfident: mean position NEES 9868 above the 95 % band [0.051, 7.4]; mean NIS 2.1 inside the 95 % band [1.7, 2.3]'
+        'overconfident: mean position NEES 9868 above the 95 % band [0.0506, 7.38]; mean NIS 2.1 inside the 95 % band [1.73, 2.29]'
         """
         return (
             f"{self.verdict}: {_against('mean position NEES', self.nees, self.nees_band)}; "
@@ -133,8 +168,8 @@ def _against(name: str, mean: float, band: Band) -> str:
     place = _PLACE.get(band.verdict(mean))
     if place is None:
         return f"{name} undefined"
-    size = f"{mean:.0f}" if mean >= 100 else f"{mean:.2g}"
+    size = f"{mean:.0f}" if mean >= 100 else f"{mean:.3g}"
     return (
         f"{name} {size} {place} the {100 * band.probability:g} % band "
-        f"[{band.low:.2g}, {band.high:.2g}]"
+        f"[{band.low:.3g}, {band.high:.3g}]"
     )
