@@ -229,13 +229,16 @@ def estimator(
     sources: list[Component] = []
 
     def made(kind: str, value: Any) -> Any:
-        if not isinstance(value, str):
-            return value
         from tracker.registry import default_registry
 
-        component = default_registry().get(kind, value)
-        sources.append(component)
-        return component.make()
+        if isinstance(value, str):
+            component = default_registry().get(kind, value)
+            sources.append(component)
+            return component.make()
+        # An object made from a registered component still knows its name, so it can be cited.
+        name = getattr(value, "name", None)
+        sources.extend(c for c in default_registry().search(kind=kind) if c.name == name)
+        return value
 
     model = made("motion", motion)
     given = [sensor] if isinstance(sensor, str) or not isinstance(sensor, Sequence) else sensor

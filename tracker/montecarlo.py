@@ -159,7 +159,6 @@ class Campaign:
         for metric in wanted:
             header += titles[metric]
         table = [header]
-        words: list[str] = []
         for row in self.rows():
             scores = self.scores[row["estimator"]][row["stage"]]
             band = scores.nis_band()
@@ -177,32 +176,36 @@ class Campaign:
                 "diverged": [f"{row['diverged']} of {self.runs}"],
             }
             table.append([row["estimator"], row["stage"], *(c for m in wanted for c in cells[m])])
-            words += self._words(row, scores, wanted)
         widths = [max(len(line[i]) for line in table) for i in range(len(header))]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
             for line in table
         ]
         title = f"{self.scenario}: {self.runs} runs, {len(self.t)} steps, seed {self.seed}"
-        return "\n".join([title, *lines, *words])
+        return "\n".join([title, *lines, *(f"Warning: {w}" for w in self.warnings(*wanted))])
 
-    def _words(self, row: Mapping[str, Any], scores: Scores, wanted: Iterable[str]) -> list[str]:
-        label = f"{row['estimator']} ({row['stage']})"
+    def warnings(self, *metrics: str) -> list[str]:
+        """What a person should be told before trusting these numbers; empty if nothing."""
         out = []
-        if "nees" in wanted and np.isfinite(row["nees"]):
+        for row in self.rows():
+            scores = self.scores[row["estimator"]][row["stage"]]
+            label = f"{row['estimator']} ({row['stage']})"
             ratio = row["nees"] / scores.n
-            if row["nees_share"] < 0.5:
+            if "nees" in (metrics or ("nees",)) and row["nees_share"] < 0.5:
                 word = "overconfident" if ratio > 1 else "underconfident"
                 out.append(
-                    f"Warning: {label} is {word}: its errors are {np.sqrt(ratio):.2g} times what it "
-                    f"claims, and NEES is inside its band at only {row['nees_share']:.0%} of the steps."
+                    f"{label} is {word}: its errors are {np.sqrt(ratio):.2g} times what it claims, "
+                    f"and NEES is inside its band at only {row['nees_share']:.0%} of the steps."
                 )
-        if "diverged" in wanted and row["diverged"]:
-            out.append(
-                f"Warning: {label} diverged in {row['diverged']} of {self.runs} runs (final error "
-                f"above {DIVERGED:g} times the median, or not finite): read medians, not means."
-            )
+            if "diverged" in (metrics or ("diverged",)) and row["diverged"]:
+                out.append(
+                    f"{label} diverged in {row['diverged']} of {self.runs} runs (final error above "
+                    f"{DIVERGED:g} times the median, or not finite): read medians, not means."
+                )
         return out
+
+    def __str__(self) -> str:
+        return self.summary()
 
     def _repr_html_(self) -> str:
         from html import escape

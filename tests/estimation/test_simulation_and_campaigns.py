@@ -225,3 +225,23 @@ def test_nees_of_a_singular_direction_counts_nothing():
     cov = np.zeros((1, 2, 2, 1))
     cov[0, 0, 0] = 4.0
     assert nees(np.array([[[2.0], [0.0]]]), cov)[0, 0] == pytest.approx(1.0)
+
+
+def test_a_report_is_one_page_that_loads_nothing(tmp_path, est, scene):
+    campaign = tk.monte_carlo(est, scene, runs=20, seed=2)
+    page = campaign.report(tmp_path / "deep" / "report.html").read_text()
+    assert "default-src 'none'" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "constant_velocity" in page  # cited
+    assert campaign.plot().axes[0].get_ylabel() == "position RMSE"
+
+
+def test_an_estimator_cites_the_components_it_was_given_by_name_or_as_objects(est):
+    lines = est.cite().split("\n")
+    assert [line.split(":")[0] for line in lines] == [
+        "motion constant_velocity",
+        "sensor stack",
+        "filter ekf1",
+        "smoother rts",
+    ]
+    assert "paper 0, eq. 24" in lines[-1]
