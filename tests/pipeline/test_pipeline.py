@@ -65,11 +65,10 @@ def scans(seed: int, batch: tuple[int, ...] = (), count: int = 6) -> list[Scan]:
     return out
 
 
-def same(one: PipelineHistory, other: PipelineHistory, **tolerance: float) -> None:
+def same(one: PipelineHistory, other: PipelineHistory, rtol: float = 0.0) -> None:
     for name in ("t", "mean", "cov", "detection", "residual", "nis", "count"):
-        np.testing.assert_allclose(
-            getattr(one, name), getattr(other, name), err_msg=name, **(tolerance or {"rtol": 0.0})
-        )
+        mine, theirs = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(mine, theirs, rtol=rtol, err_msg=name)
 
 
 # ---------------------------------------------------------------------------------- what it is
