@@ -9,20 +9,21 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import shutil
-import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from tracker.commands.tables import print_table
+
 if TYPE_CHECKING:
     from tracker.registry import Component, Registry
 
 # Commands in other modules: name -> ("package.module:command", the line shown by --help).
-LAZY: dict[str, tuple[str, str]] = {}
+LAZY: dict[str, tuple[str, str]] = {
+    "run": ("tracker.commands.run:run", "Track what a config file describes, and report on it."),
+}
 
-_WIDE_ENOUGH = 100
 _CAPABILITIES = ("jacobian", "hessian", "linearise", "prior")
 _SPACES = ("space", "pose_space", "state")
 
@@ -93,9 +94,9 @@ def list_(kind: str | None, tag: str | None, *, as_json: bool) -> None:
         click.echo(json.dumps(_as_data(found, registry), indent=2))
         return
     if found:
-        _table(
+        print_table(
             ("kind", "name", "summary", "source", "origin"),
-            [(one.kind, one.name, one.summary, _source(one), str(one.origin)) for one in found],
+            [(one.kind, one.name, one.summary, one.source, str(one.origin)) for one in found],
         )
     else:
         tags = sorted({tag for one in registry.search(kind=kind) for tag in one.tags})
@@ -162,7 +163,7 @@ def _show(component: Component) -> None:
 
     click.echo(f"{component}\n{component.summary}\n")
     facts = [
-        ("source", _source(component)),
+        ("source", component.source),
         ("origin", str(component.origin)),
         ("target", component.target),
         ("tags", ", ".join(component.tags)),
@@ -180,7 +181,7 @@ def _show(component: Component) -> None:
     _facts(facts)
     if parameters:
         click.echo()
-        _table(
+        print_table(
             ("parameter", "unit", "default", "type"),
             [
                 (p.name, p.unit, "(required)" if p.required else p.default, p.annotation)
@@ -255,7 +256,7 @@ def check(name: str, kind: str | None) -> None:
             )
             raise click.exceptions.Exit(2)
         click.echo(str(component))
-        _table(("law", "outcome"), laws)
+        print_table(("law", "outcome"), laws)
         failed |= any(outcome == "failed" for _, outcome in laws)
     raise click.exceptions.Exit(int(failed))
 
@@ -271,7 +272,7 @@ def doctor() -> None:
     registry = Registry()
     registry.discover(strict=False)
     if registry.plugins:
-        _table(
+        print_table(
             ("plugin", "origin", "status", "components", "load [ms]"),
             [
                 (
@@ -340,30 +341,7 @@ def _extras() -> list[tuple[str, str]]:
     ]
 
 
-def _source(component: Component) -> str:
-    paper = f"paper {component.paper}" if component.paper.isdigit() else component.paper
-    return paper + (f", eq. {', '.join(component.equations)}" if component.equations else "")
-
-
 def _facts(facts: Iterable[tuple[str, str]]) -> None:
     for name, value in facts:
         if value:
             click.echo(f"{name:<13} {value}")
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a ruled table on a wide terminal, and aligned columns, easy to grep, anywhere else."""
-    if sys.stdout.isatty() and shutil.get_terminal_size().columns >= _WIDE_ENOUGH:
-        from rich.console import Console
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(*head)
-        for row in rows:
-            table.add_row(*map(Text, row))  # Text: "[rad]" is a unit here, not markup
-        Console().print(table)
-        return
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    for row in (head, *rows):
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        click.echo("  ".join(cells).rstrip())

@@ -217,6 +217,12 @@ class Component:
     def __str__(self) -> str:
         return f"{self.kind} {self.name!r}"
 
+    @property
+    def source(self) -> str:
+        """Paper and equations, as a person cites them."""
+        paper = f"paper {self.paper}" if self.paper.isdigit() else self.paper
+        return paper + (f", eq. {', '.join(self.equations)}" if self.equations else "")
+
     def missing(self) -> tuple[tuple[str, str], ...]:
         """Those of ``requires`` that cannot be imported here."""
         return tuple(one for one in self.requires if not _importable(one[0]))

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import tracker.cli
 import tracker.registry
+from tracker.commands.tables import print_table
 from tracker.errors import PluginError
 from tracker.registry import KINDS, Component, Origin, Registry
 
@@ -252,7 +253,7 @@ def test_a_wide_terminal_gets_a_ruled_table_with_units_intact(
 ) -> None:
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", "120")
-    tracker.cli._table(("name", "unit"), [("sigma", "[rad]")])
+    print_table(("name", "unit"), [("sigma", "[rad]")])
     told = capsys.readouterr().out
     assert "[rad]" in told
     assert "─" in told or "━" in told

@@ -1,0 +1,154 @@
+"""``tracker run``: track the targets of a detection log as a config file says, and report on it.
+
+What a config file means is in `tracker.io.config`, what a report looks like in `tracker.report`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from tracker.commands.tables import print_table
+from tracker.errors import ConfigError, wording
+from tracker.io.config import Experiment, read_experiment
+from tracker.io.detections import DetectionLog
+from tracker.metrics.tracking import score_tracks, true_start
+from tracker.progress import progress_of
+from tracker.report.tracking import HEAD, Outcome, findings, rows, tracking_page
+
+
+@click.command()
+@click.argument("config")
+@click.option(
+    "--out", required=True, metavar="DIR", help="Folder for report.html and results.json."
+)
+@click.option("--quiet", is_flag=True, help="Print the path of the report and nothing else.")
+def run(config: str, out: str, *, quiet: bool) -> None:
+    """Run the experiment that the file CONFIG describes.
+
+    Prints a table and the path of the report; writes report.html, which needs no network, and
+    results.json: {"schema": 1, "title", "config", "versions", "rows": [...], "findings": [...]}, in SI
+    units, null where a number is undefined. Within a schema number keys are only ever added.
+    """
+    experiment = read_experiment(config)
+    log = experiment.read_log()
+    folder = _folder(out)
+    outcomes = compare(experiment, log, quiet=quiet)
+    if not quiet:
+        _print(outcomes)
+    page = tracking_page(
+        experiment.title,
+        outcomes,
+        log,
+        components=[
+            (role, str(part), part.component.source, str(part.component.origin))
+            for role, part in experiment.parts.items()
+        ],
+        notes=(
+            f"Config: {config}. Log: {experiment.log}.",
+            f"Tracks start from the truth's first {experiment.start.seconds:g} s; they do not end.",
+            ", ".join(f"{name} {version}" for name, version in _versions().items()) + ".",
+        ),
+    )
+    report = folder / "report.html"
+    _write(report, page)
+    _write(folder / "results.json", json.dumps(_results(config, experiment, outcomes), indent=2))
+    click.echo(str(report))
+
+
+def compare(experiment: Experiment, log: DetectionLog, *, quiet: bool = True) -> list[Outcome]:
+    """Track the targets of a log once with each set of sensors.
+
+    Raises:
+        DomainError: if the truth does not tell how the tracks start.
+    """
+    space, start = experiment.motion.made.space, experiment.start
+    tracks = true_start(log.truth, space, seconds=start.seconds, sigma=start.sigma)
+    scans = [scan for scan in log.scans if scan.t >= tracks.t]
+    outcomes = []
+    for one in experiment.compare:
+        with progress_of(one.name, quiet=quiet) as report:
+            history = experiment.pipeline(one).run(
+                tracks, scans, skip_unknown=True, progress=report
+            )
+        truth = [log.truth[target].at(history.t) for target in history.ids]
+        east, north = space.indices("x", "y")
+        scores = score_tracks(history, truth, position=(east, north))
+        outcomes.append(Outcome(one.name, history, scores, (east, north)))
+    return outcomes
+
+
+# ------------------------------------------------------------------------------------- output
+def _folder(out: str) -> Path:
+    try:
+        folder = Path(out)
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            wording(f"--out {out!r}", got=str(error), expected="a folder", do="name another")
+        ) from None
+    return folder
+
+
+def _write(file: Path, content: str) -> None:
+    try:
+        file.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            wording(str(file), got=str(error), expected="a file to write", do="see to the folder")
+        ) from None
+
+
+def _results(config: str, experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "title": experiment.title,
+        "config": config,
+        "versions": _versions(),
+        "rows": [
+            {
+                "sensors": outcome.name,
+                "target": score.id,
+                "rmse": _finite(score.rmse),
+                "nis": _finite(score.nis),
+                "nis_band": [_finite(score.nis_band.low), _finite(score.nis_band.high)],
+                "nees": _finite(score.nees),
+                "nees_band": [_finite(score.nees_band.low), _finite(score.nees_band.high)],
+                "used": _finite(score.used),
+                "seconds_per_update": _finite(score.seconds),
+                "verdict": score.verdict,
+                "words": score.words,
+            }
+            for outcome in outcomes
+            for score in outcome.scores
+        ],
+        "findings": findings(outcomes),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _versions() -> dict[str, str]:
+    import tracker
+
+    return {
+        "tracker": tracker.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _print(outcomes: list[Outcome]) -> None:
+    print_table(HEAD, rows(outcomes))
+    click.echo()
+    for finding in findings(outcomes):
+        click.echo(f"- {finding}")
+    click.echo()

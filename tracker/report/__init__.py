@@ -1,0 +1,1 @@
+"""Self-contained HTML reports: pages from escaped pieces, figures without a display, one per subject."""
