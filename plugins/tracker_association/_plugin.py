@@ -20,7 +20,6 @@ _COMPONENTS = (
         target="tracker_association.chi_square_gate:ChiSquareGate",
         summary="admits what lies within a quantile of the chi-square distribution, or a given distance",
         paper="Bar-Shalom and Fortmann, Tracking and Data Association, 1988",
-        equations=("(5.2.3-1)",),
         tags=("gating",),
         examples=("chi_square(probability=0.99)", "chi_square(squared_distance=13.8)"),
     ),
@@ -30,7 +29,6 @@ _COMPONENTS = (
         target="tracker_association.nearest_neighbour:NearestNeighbour",
         summary="each track takes its nearest detection; the nearer pair goes first",
         paper="Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999",
-        equations=("section 6.4",),
         tags=("hard", "greedy"),
     ),
     Component(
@@ -39,7 +37,6 @@ _COMPONENTS = (
         target="tracker_association.global_nearest_neighbour:GlobalNearestNeighbour",
         summary="as many pairs as the gate allows, at least total squared distance",
         paper="Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999",
-        equations=("section 6.4",),
         tags=("hard", "optimal"),
     ),
 )

@@ -36,7 +36,7 @@ class ChiSquareGate:
     Raises:
         DomainError: if probability is not in (0, 1), squared_distance is not positive, or m < 1.
     Reference:
-        Bar-Shalom and Fortmann, Tracking and Data Association, 1988, eq. (5.2.3-1).
+        Bar-Shalom and Fortmann, Tracking and Data Association, 1988 (validation region).
     Laws:
         those of kind "gate": a larger probability gates no less; NaN never passes.
 

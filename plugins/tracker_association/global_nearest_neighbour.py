@@ -25,7 +25,7 @@ class GlobalNearestNeighbour:
     Raises:
         ShapeError: if the two shapes differ or have less than two axes.
     Reference:
-        Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, section 6.4; solved
+        Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999; solved
         by Crouse, On implementing 2D rectangular assignment algorithms, IEEE T-AES 52(4), 2016.
     Laws:
         those of kind "associator"; equal to the best of all assignments tried one by one.

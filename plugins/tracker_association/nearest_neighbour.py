@@ -26,7 +26,7 @@ class NearestNeighbour:
     Raises:
         ShapeError: if the two shapes differ or have less than two axes.
     Reference:
-        Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, section 6.4.
+        Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999.
     Laws:
         those of kind "associator"; equal to the global nearest neighbour where no two tracks want
         the same detection.
