@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import attrs
-import numpy as np
 
 from tracker.errors import ShapeError, wording
 from tracker.models import ComponentMotion, diagonal, one_of, positive
@@ -30,9 +29,14 @@ def _advance_3(x: Any, y: Any, z: Any, vx: Any, vy: Any, vz: Any, *, dt: Any) ->
 
 def _covariance(dt: Any, *densities: Any) -> Any:
     """Eq. (29), with a density for each axis."""
-    position = diagonal(*(q * dt**3 / 3.0 for q in densities))
-    cross = diagonal(*(q * dt**2 / 2.0 for q in densities))
-    velocity = diagonal(*(q * dt for q in densities))
+    return _spread(((dt**3 / 3.0, dt**2 / 2.0), (dt**2 / 2.0, dt)), densities)
+
+
+def _spread(one: Any, densities: tuple[Any, ...]) -> Any:
+    """The covariance of one axis at density 1, repeated over the axes."""
+    position = diagonal(*(q * one[0][0] for q in densities))
+    cross = diagonal(*(q * one[0][1] for q in densities))
+    velocity = diagonal(*(q * one[1][1] for q in densities))
     upper = tuple(p + c for p, c in zip(position, cross, strict=True))
     lower = tuple(c + v for c, v in zip(cross, velocity, strict=True))
     return upper + lower
@@ -81,14 +85,10 @@ class _Discretised:
         return ("dt", *self.densities)
 
     def __call__(self, *, dt: Any, **densities: Any) -> Any:
-        F = np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(self.axes))  # eq. (26)
-        total: Any = 0.0
-        for axis in range(self.axes):  # Q is linear in the density of each axis
-            L = np.zeros((2 * self.axes, 1))
-            L[self.axes + axis] = 1.0  # eq. (27)
-            density = densities[self.densities[axis % len(self.densities)]]
-            total = total + METHODS[self.method](F, L, [[1.0]], dt) * np.asarray(density)
-        return tuple(map(tuple, total))
+        F, L = ((0.0, 1.0), (0.0, 0.0)), ((0.0,), (1.0,))  # eq. (26), (27), of one axis
+        one = METHODS[self.method](F, L, ((1.0,),), dt)
+        each = tuple(densities[name] for name in self.densities)
+        return _spread(one, each if len(each) == self.axes else each * self.axes)
 
 
 def constant_velocity(

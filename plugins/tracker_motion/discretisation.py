@@ -24,14 +24,13 @@ _MOST_PANELS = 10_000
 
 
 def is_nilpotent(F: ArrayLike) -> bool:
-    """Whether some power of ``F`` is exactly zero, so that its exponential is a polynomial.
+    """Whether a power of ``F`` is exactly zero, so that its exponential is a polynomial.
 
     Example:
     >>> is_nilpotent([[0.0, 1.0], [0.0, 0.0]]), is_nilpotent([[0.0, 1.0], [-1.0, 0.0]])
     (True, False)
     """
-    square = _square(F, "F")
-    return not np.linalg.matrix_power(square, len(square)).any()
+    return _index(_square(F, "F")) > 0
 
 
 def transition(F: ArrayLike, dt: Any) -> Any:
@@ -50,8 +49,8 @@ def transition(F: ArrayLike, dt: Any) -> Any:
 def integral(F: ArrayLike, L: ArrayLike, Qc: ArrayLike, dt: Any) -> Any:
     """Covariance of the noise of a step by quadrature of its defining integral.
 
-    ``Q = ∫ expm(F s) L Qc L' expm(F s)' ds`` over ``0 <= s <= dt``, by the Gauss-Legendre rule of 12
-    points: exact for nilpotent F of order up to 12. Other F get one panel for each unit of
+    ``Q = ∫ expm(F s) L Qc L' expm(F s)' ds`` over ``0 <= s <= dt``, by Gauss-Legendre rules: for nilpotent
+    F one whose number of points makes it exact, else one of 12 points for each unit of
     ``norm(F) dt``. All weights are positive, so Q is positive semi-definite for ``dt >= 0``.
 
     Shapes: as in the module's description.
@@ -68,8 +67,9 @@ def integral(F: ArrayLike, L: ArrayLike, Qc: ArrayLike, dt: Any) -> Any:
     """
     square, spread = _checked(F, L, Qc)
     t = _times(dt)
-    panels = 1 if is_nilpotent(square) else _panels(square, t)
-    points, weights = np.polynomial.legendre.leggauss(_POINTS)
+    index = _index(square)  # the integrand is a polynomial of degree 2 (index - 1)
+    panels = 1 if index else _panels(square, t)
+    points, weights = np.polynomial.legendre.leggauss(index or _POINTS)
     total: Any = 0.0
     for panel in range(panels):
         for point, weight in zip(points, weights, strict=True):
@@ -117,8 +117,18 @@ def _times(dt: Any) -> Any:
     return (t if t.dtype == object else as_array(t, "dt"))[None, None]
 
 
+def _index(F: Array) -> int:
+    """The lowest power of F that is exactly zero; 0 if there is none."""
+    power = np.eye(len(F))
+    for k in range(1, len(F) + 1):
+        power = power @ F
+        if not power.any():
+            return k
+    return 0
+
+
 def _transition(F: Array, t: Any) -> Any:
-    return _polynomial(F, t) if is_nilpotent(F) else _exponential(F, t)
+    return _polynomial(F, t) if _index(F) else _exponential(F, t)
 
 
 def _polynomial(F: Array, t: Any) -> Any:

@@ -8,6 +8,7 @@ import pytest
 import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tracker.errors import CapabilityError, DomainError, ShapeError
 from tracker.types import Space
 from tracker_motion import (
@@ -95,7 +96,9 @@ def draw(motion, seed, batch=(), rate=0.4):
 
 def assert_close(ours, theirs, message="", tolerance=1e-9):
     scale = max(np.abs(np.asarray(theirs)).max(initial=0.0), 1e-300)
-    np.testing.assert_allclose(ours, theirs, rtol=tolerance, atol=tolerance * scale, err_msg=message)
+    np.testing.assert_allclose(
+        ours, theirs, rtol=tolerance, atol=tolerance * scale, err_msg=message
+    )
 
 
 @pytest.mark.parametrize("name", list(MOTIONS))
@@ -129,7 +132,9 @@ def test_the_noise_of_an_acceleration_input_belongs_to_the_step():
     motion = DRIVEN[2]
     x = np.array([1.0, 2.0, 3.0, 4.0])
     F, half, whole = motion.jacobian(x, 0.5), motion.Q(x, 0.5), motion.Q(x, 1.0)
-    assert_close(motion.f(motion.f(x, 0.5, u=[1.0, 2.0]), 0.5, u=[1.0, 2.0]), motion.f(x, 1.0, u=[1.0, 2.0]))
+    assert_close(
+        motion.f(motion.f(x, 0.5, u=[1.0, 2.0]), 0.5, u=[1.0, 2.0]), motion.f(x, 1.0, u=[1.0, 2.0])
+    )
     assert (F @ half @ F.T + half)[2, 2] == pytest.approx(whole[2, 2] / 2)
     assert np.linalg.matrix_rank(whole) == 2
 
