@@ -82,8 +82,8 @@ def list_(kind: str | None, tag: str | None, *, as_json: bool) -> None:
     """List components, of one KIND or of all, each with its source.
 
     With --json: {"schema": 1, "components": [...], "plugins": [...]}. A component has kind, name,
-    summary, paper, equations, tags, requires (module, install), available, examples, target,
-    origin (distribution, version). A plugin that is not loaded has name, distribution, version,
+    summary, paper, equations, tags, requires (module, install), available, examples, deviations,
+    target, origin (distribution, version). A plugin that is not loaded has name, distribution, version,
     status, cause. Within a schema number keys are only ever added.
     """
     from tracker.registry import default_registry
@@ -120,6 +120,7 @@ def _as_data(components: Iterable[Component], registry: Registry) -> dict[str, o
                 "requires": [{"module": name, "install": pip} for name, pip in one.requires],
                 "available": not one.missing(),
                 "examples": list(one.examples),
+                "deviations": dict(one.deviations),
                 "target": one.target,
                 "origin": {
                     "distribution": one.origin.distribution,
@@ -174,10 +175,7 @@ def _show(component: Component) -> None:
         component.load()  # raises, saying what to install
     parameters = describe_parameters(component)
     facts += _abilities(component, required=[p.name for p in parameters if p.required])
-    laws = conformance(component)
-    if laws is not None:
-        passed = [law for law, outcome in laws if outcome == "passed"]
-        facts.append(("passes", f"{len(passed)} of {len(laws)} laws: {', '.join(passed)}"))
+    facts += _laws(component)
     _facts(facts)
     if parameters:
         click.echo()
@@ -229,24 +227,46 @@ def _components(space: Any) -> str:
     )
 
 
-def conformance(component: Component) -> list[tuple[str, str]] | None:
-    """Return each law with its outcome; None where the kit, or what it needs, is not installed.
+def _laws(component: Component) -> list[tuple[str, str]]:
+    """What the conformance kit says, in a line or two."""
+    from tracker.errors import TrackerError
+
+    try:
+        laws = conformance(component)
+    except TrackerError as error:
+        return [("passes", f"not checked: {error}")]
+    if laws is None:
+        return []
+    tried = [outcome for outcome in laws if outcome[1] != "not applicable"]
+    passed = [law for law, outcome, _ in tried if outcome == "passed"]
+    facts = [("passes", f"{len(passed)} of {len(tried)} laws: {', '.join(passed)}")]
+    return facts + [
+        ("deviates" if outcome == "expected failure" else "breaks", f"{law}: {reason}")
+        for law, outcome, reason in tried
+        if outcome != "passed"
+    ]
+
+
+def conformance(component: Component) -> list[tuple[str, str, str]] | None:
+    """Return each law with outcome and reason; None where the kit, or what it needs, is missing.
 
     The only place where commands meet the kit: ``tracker.testing.outcomes(component)``.
+
+    Raises:
+        CapabilityError: there are no laws for its kind, or it cannot be made from its record.
     """
     try:
-        kit = importlib.import_module("tracker.testing")
+        from tracker import testing
     except ModuleNotFoundError:
         return None
-    outcomes = getattr(kit, "outcomes", None)
-    return None if outcomes is None else list(outcomes(component))
+    return testing.outcomes(component)
 
 
 @main.command()
 @click.argument("name")
 @click.option("--kind", help="Only the component of this kind, where several share the name.")
 def check(name: str, kind: str | None) -> None:
-    """Check that the component NAME obeys the laws of its kind."""
+    """Check that the component NAME obeys the laws of its kind; exit code 1 if it does not."""
     failed = False
     for component in _named(name, kind):
         laws = conformance(component)
@@ -256,8 +276,11 @@ def check(name: str, kind: str | None) -> None:
             )
             raise click.exceptions.Exit(2)
         click.echo(str(component))
-        print_table(("law", "outcome"), laws)
-        failed |= any(outcome == "failed" for _, outcome in laws)
+        print_table(("law", "outcome"), [(law, outcome) for law, outcome, _ in laws])
+        for law, outcome, reason in laws:
+            if reason:
+                click.echo(f"\n{law} ({outcome}): {reason}")
+            failed |= outcome == "failed"
     raise click.exceptions.Exit(int(failed))
 
 

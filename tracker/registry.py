@@ -153,6 +153,10 @@ def _requirements(
     return tuple((one, one) if isinstance(one, str) else one for one in value)
 
 
+def _deviations(value: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    return tuple(dict(value).items())
+
+
 @attrs.frozen
 class Origin:
     """The distribution that a component came with; the version is empty for run-time additions."""
@@ -174,7 +178,8 @@ class Component:
     ``target`` is "package.module:attribute", imported when the component is first loaded; ``paper`` is
     the number of one of the project's papers or a citation; ``equations`` says where in it.
     ``requires`` names modules beyond the base dependencies, each with what to ``pip install`` for it.
-    ``origin`` is filled in by the registry.
+    ``deviations`` names laws of `tracker.testing` that cannot hold, each with the reason; ``origin`` is
+    filled in by the registry.
 
     Raises:
         PluginError: a field is malformed (unknown kind, a name not in lower_case, ...).
@@ -194,6 +199,7 @@ class Component:
     tags: tuple[str, ...] = attrs.field(default=(), converter=_tags)
     requires: tuple[tuple[str, str], ...] = attrs.field(default=(), converter=_requirements)
     examples: tuple[str, ...] = attrs.field(default=(), converter=_strings)
+    deviations: tuple[tuple[str, str], ...] = attrs.field(default=(), converter=_deviations)
     origin: Origin = _RUN_TIME
 
     def __attrs_post_init__(self) -> None:

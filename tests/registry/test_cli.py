@@ -110,6 +110,7 @@ def test_list_as_json_keeps_its_schema(registry: Registry) -> None:
                 "requires": [],
                 "available": True,
                 "examples": ["azimuth(sigma=0.02)"],
+                "deviations": {},
                 "target": "fake_bearing:Bearing",
                 "origin": {"distribution": "dist-a", "version": "1.2"},
             }
@@ -190,10 +191,19 @@ def test_check_prints_each_law_and_fails_if_one_does(
 ) -> None:
     monkeypatch.setattr(tracker.cli, "conformance", lambda _: None)
     assert tell("check", "azimuth").exit_code == 2
-    monkeypatch.setattr(tracker.cli, "conformance", lambda _: [("wrap", "passed"), ("R", "failed")])
+    monkeypatch.setattr(
+        tracker.cli,
+        "conformance",
+        lambda _: [
+            ("wrap", "passed", ""),
+            ("R", "failed", "negative"),
+            ("hessian", "not applicable", "none"),
+        ],
+    )
     told = tell("check", "azimuth")
     assert told.exit_code == 1
     assert "wrap" in told.output
+    assert "R (failed): negative" in told.output
     assert "1 of 2 laws: wrap" in tell("show", "azimuth").output
 
 

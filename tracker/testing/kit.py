@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 from hypothesis import strategies as st
 
-from tracker.errors import CapabilityError, DomainError, wording
+from tracker.errors import CapabilityError, DomainError, TrackerError, wording
 from tracker.testing.law import KINDS, Law, Regions, laws
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tracker.registry import Component
 
 FLOOR: Mapping[str, int] = MappingProxyType(
-    {"motion": 12, "sensor": 9, "filter": 18, "smoother": 11, "gate": 8, "associator": 10}
+    {"motion": 10, "sensor": 8, "filter": 17, "smoother": 11, "gate": 8, "associator": 10}
 )
 """How many laws must at least have run: what a component without any optional ability meets."""
 
@@ -37,13 +37,17 @@ _METHODS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
+def _absent(component: Any, kind: str) -> list[str]:
+    return [name for name in _METHODS[kind] if not hasattr(component, name)]
+
+
 def kind_of(component: Any) -> str:
     """The kind whose protocol a component fulfils.
 
     Raises:
         DomainError: if it fulfils none, or several.
     """
-    kinds = [k for k in KINDS if all(hasattr(component, name) for name in _METHODS[k])]
+    kinds = [kind for kind in KINDS if not _absent(component, kind)]
     if len(kinds) != 1:
         raise DomainError(
             wording(
@@ -97,7 +101,8 @@ class Report:
     @property
     def ran(self) -> tuple[str, ...]:
         """Laws that were tried, whatever came of it."""
-        return self._laws("passed", "failed", "expected failure")
+        tried = self._laws("passed", "failed", "expected failure")
+        return tuple(law for law in tried if law != ENOUGH)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -189,6 +194,15 @@ def check_component(
     kind = kind or kind_of(component)
     excuses = dict(expected_failures or {})
     _known(excuses, [kind])
+    if _absent(component, kind):
+        raise DomainError(
+            wording(
+                f"{kind} {_label(component)!r}",
+                got=f"nothing called {', '.join(_absent(component, kind))}",
+                expected=f"the protocol of kind {kind!r} in tracker/protocols.py",
+                do="implement it, or name the right kind",
+            )
+        )
     regions, ran, outcomes = Regions(states, poses), [], []
     for law in laws(kind):
         why = law.why_not(component)
@@ -205,7 +219,9 @@ def check_component(
 def _outcome(law: Law, component: Any, regions: Regions, why: str, excuse: str) -> Outcome:
     if why:
         if excuse:
-            told = f"expected to fail ({excuse}), but does not even apply ({why}): take the excuse out"
+            told = (
+                f"expected to fail ({excuse}), but does not even apply ({why}): take the excuse out"
+            )
             return Outcome(law.name, "failed", told)
         return Outcome(law.name, "not applicable", why)
     try:
@@ -272,16 +288,18 @@ def from_record(record: Component) -> Any:
     """
     from tracker.registry import describe_parameters
 
-    if not any(parameter.required for parameter in describe_parameters(record)):
-        return record.make()
-    for example in record.examples:
+    chosen: list[dict[str, Any]] = [{}]
+    if any(parameter.required for parameter in describe_parameters(record)):
+        chosen = [given for example in record.examples if (given := _arguments(example))]
+    for given in chosen[:1]:
         try:
-            call = ast.parse(example, mode="eval").body
-            if isinstance(call, ast.Call) and not call.args:
-                given = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
-                return record.make(**given)
-        except (SyntaxError, ValueError):
-            continue
+            return record.make(**given)
+        except TrackerError:
+            raise
+        except Exception as error:
+            raise CapabilityError(
+                f"{record} cannot be made: {type(error).__name__}: {error}"
+            ) from error
     raise CapabilityError(
         wording(
             f"{record.kind} {record.name!r}",
@@ -290,6 +308,17 @@ def from_record(record: Component) -> Any:
             do="add one, or check it in Python: tracker.testing.check_component(component)",
         )
     )
+
+
+def _arguments(example: str) -> dict[str, Any]:
+    """Keywords and plain values of an example; none where it is not of that form."""
+    try:
+        call = ast.parse(example, mode="eval").body
+        if not isinstance(call, ast.Call) or call.args:
+            return {}
+        return {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
+    except (SyntaxError, ValueError):
+        return {}
 
 
 def check_record(record: Component) -> Report:

@@ -41,8 +41,8 @@ class Regions:
 class Case:
     """One example of a law: everything drawn for it, repeatable from what hypothesis reports."""
 
-    def __init__(self, component: Any, data: st.DataObject, regions: Regions) -> None:
-        self.component, self._data, self._regions = component, data, regions
+    def __init__(self, kind: str, component: Any, data: st.DataObject, regions: Regions) -> None:
+        self.kind, self.component, self._data, self._regions = kind, component, data, regions
 
     def draw(self, strategy: st.SearchStrategy[T]) -> T:
         """An example of any strategy."""
@@ -113,6 +113,11 @@ class Law:
         """The law in a sentence."""
         return " ".join((self.body.__doc__ or "").split("\n\n", maxsplit=1)[0].split())
 
+    @property
+    def always(self) -> bool:
+        """Whether the law applies to every component of its kind."""
+        return self.unless is _always
+
     def why_not(self, component: Any) -> str:
         """Why the law does not apply to the component, or ''."""
         return self.unless(component)
@@ -140,7 +145,7 @@ class Law:
             nonlocal finished
             try:
                 with np.errstate(all="ignore"):
-                    self.body(component, Case(component, data, regions))
+                    self.body(component, Case(self.kind, component, data, regions))
             except HypothesisException:
                 raise
             except Exception as error:
@@ -159,7 +164,9 @@ class Law:
         said = str(error).strip() or "an assertion without a message"
         if not isinstance(error, AssertionError):
             said = f"it raised {type(error).__name__}: {said}"
-        raise AssertionError(f"law {self.name!r} is broken: {said}\n  The law: {self.statement}") from error
+        raise AssertionError(
+            f"law {self.name!r} is broken: {said}\n  The law: {self.statement}"
+        ) from error
 
 
 _LAWS: dict[str, list[Law]] = {kind: [] for kind in KINDS}
@@ -202,8 +209,10 @@ def lacks(name: str, *arguments: Any) -> Reason:
         method = getattr(component, name, None)
         if method is None:
             return f"it has no {name}"
+        state = np.linspace(110.0, 70.0, state_space(component).size)
         try:
-            method(np.ones(state_space(component).size), *arguments)
+            with np.errstate(all="ignore"):
+                method(state, *arguments)
         except CapabilityError as error:
             return str(error)
         except Exception:  # noqa: BLE001 - that it fails is for the law to find
@@ -232,9 +241,7 @@ def agree(actual: Any, expected: Any, tolerance: float, conclusion: str, scale: 
     bad = ~(gap <= tolerance * size)
     if bad.any():
         at = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise AssertionError(
-            f"{conclusion} (entry {at}: {got[at]:.9g} instead of {want[at]:.9g})"
-        )
+        raise AssertionError(f"{conclusion} (entry {at}: {got[at]:.9g} instead of {want[at]:.9g})")
 
 
 def symmetric(A: Any, conclusion: str, tolerance: float = 0.0) -> None:

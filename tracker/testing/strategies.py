@@ -180,4 +180,6 @@ def records(
         where.append(pose)
     z = np.array(np.stack(rows))
     z[rng.uniform(size=z.shape) < missing] = np.nan
-    return Record(t, z, pose=None if where[0] is None else np.stack([p for p in where if p is not None]))
+    return Record(
+        t, z, pose=None if where[0] is None else np.stack([p for p in where if p is not None])
+    )

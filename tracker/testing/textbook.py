@@ -26,7 +26,7 @@ def F(dt: float) -> Array:
 def Q(dt: float) -> Array:
     """White acceleration of density `DENSITY` (paper 0, eq. 29)."""
     block = DENSITY * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-    return np.kron(block, np.eye(2))
+    return np.kron(block, np.eye(2)).astype(np.float64)
 
 
 H = np.eye(2, 4)
@@ -135,7 +135,8 @@ class Problem:
 
     def lane(self, index: tuple[int, ...]) -> Problem:
         """One lane."""
-        return Problem(self.mean[(..., *index)], self.cov[(..., *index)], self.t, self.z[(..., *index)])
+        at: Any = (..., *index)
+        return Problem(self.mean[at], self.cov[at], self.t, self.z[at])
 
     def filtered(self) -> History:
         """The history that the textbook filter leaves."""
@@ -147,10 +148,16 @@ class Problem:
             for k in range(steps):
                 if k:
                     x, P = predict(x, P, float(self.t[k] - self.t[k - 1]))
-                means[(0, k, slice(None), *index)], covs[(0, k, slice(None), slice(None), *index)] = x, P
+                (
+                    means[(0, k, slice(None), *index)],
+                    covs[(0, k, slice(None), slice(None), *index)],
+                ) = x, P
                 x, P, _, _ = update(x, P, lane.z[k])
                 P = 0.5 * (P + P.T)
-                means[(1, k, slice(None), *index)], covs[(1, k, slice(None), slice(None), *index)] = x, P
+                (
+                    means[(1, k, slice(None), *index)],
+                    covs[(1, k, slice(None), slice(None), *index)],
+                ) = x, P
         return history(self.t, means[0], covs[0], means[1], covs[1])
 
     def batch_least_squares(self) -> tuple[Array, Array]:

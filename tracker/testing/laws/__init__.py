@@ -1,11 +1,5 @@
-"""The laws, one module per kind of component and one for what every kind must do."""
+"""The laws, one module per kind of component, after those that hold for every kind."""
 
-from tracker.testing.laws import (  # noqa: F401 - importing declares the laws
-    motion,  # isort: skip
-    sensor,
-    filter,  # noqa: A004 - named after the kind
-    smoother,
-    gate,
-    associator,
-    every,
-)
+# Importing declares the laws, and this order is that of every report.
+from tracker.testing.laws import every  # noqa: F401, I001
+from tracker.testing.laws import motion, sensor, filter, smoother, gate, associator  # noqa: A004, F401

@@ -15,10 +15,12 @@ _GATE = 9.0
 _SIZES = ((3, 4), (4, 2), (1, 1), (2, 0), (0, 2))
 
 
-def _scan(case: Case, batch: tuple[int, ...] = (), size: tuple[int, int] = (3, 4)) -> tuple[Array, Any]:
+def _scan(
+    case: Case, batch: tuple[int, ...] = (), size: tuple[int, int] = (3, 4)
+) -> tuple[Array, Any]:
     """Squared distances, no two alike, and gate flags; a track may have diverged."""
     distance = case.rng.uniform(0.0, 15.0, (*size, *batch))
-    if size[0] > 2 and case.rng.uniform() < 0.5:  # noqa: PLR2004 - some must stay
+    if size[0] > 2 and case.rng.uniform() < 0.5:
         distance[0] = np.nan
     return distance, distance < _GATE
 

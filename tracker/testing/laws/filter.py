@@ -263,7 +263,7 @@ def interpretations_agree(rule: Any, case: Case) -> None:
         nodes = _update(rule, belief.mean, belief.cov, traced.vector("z", z), sensor)
         for k in (0, 1, 4, 5, 6):
             what = f"update with {sensor.name}"
-            size = None if k < 2 else 1.0 + np.abs(single[4])  # noqa: PLR2004 - the moments
+            size = None if k < 2 else 1.0 + np.abs(single[4])
             agree(several[k][..., 0], single[k], 1e-9, told.format(what, "lanes"), size)
             agree(traced.worth(nodes[k]), single[k], 1e-9, told.format(what, "graph nodes"), size)
 
@@ -340,5 +340,3 @@ def nees_in_its_band(rule: Any, _case: Case) -> None:
 def nis_in_its_band(rule: Any, _case: Case) -> None:
     """On matched models the innovations are what their covariance says (false alarm 1e-6)."""
     _in_band("NIS", _campaign(rule)[1], 2)
-
-

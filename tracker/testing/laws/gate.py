@@ -34,7 +34,9 @@ def threshold(gate: Any, _case: Case) -> None:
     found = [float(gate.threshold(m)) for m in range(1, 7)]
     assert all(np.isfinite(found)), f"thresholds for m = 1 to 6 are not all finite: {found}"
     assert min(found) > 0.0, f"a threshold is not positive: {found}"
-    assert found == [float(gate.threshold(m)) for m in range(1, 7)], "thresholds change when asked again"
+    assert found == [float(gate.threshold(m)) for m in range(1, 7)], (
+        "thresholds change when asked again"
+    )
     assert found == sorted(found), f"a larger m has a smaller threshold: {found}"
 
 
@@ -48,7 +50,9 @@ def admits(gate: Any, case: Case) -> None:
             flags = np.asarray(gate.admits(d2, m))
             assert flags.dtype == np.bool_, f"admits answers {flags.dtype}, not flags"
             assert flags.shape == shape, f"admits answers shape {flags.shape} to shape {shape}"
-            assert np.array_equal(flags, d2 <= limit), "flags are not those of distance <= threshold"
+            assert np.array_equal(flags, d2 <= limit), (
+                "flags are not those of distance <= threshold"
+            )
     assert np.all(gate.admits(np.zeros(3), 2)), "a distance of zero does not pass"
 
 

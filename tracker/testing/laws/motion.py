@@ -44,9 +44,13 @@ def motion_calls(motion: Any, case: Case, batch: tuple[int, ...]) -> list[Call]:
         Call("Q", lambda m, *a: (m.Q(*a),), (state, step), (2,), batch, shared=True),
     ]
     if not lacks("jacobian", 1.0)(motion):
-        made.append(Call("jacobian", lambda m, *a: (m.jacobian(*a),), given, (2,), batch, shared=True))
+        made.append(
+            Call("jacobian", lambda m, *a: (m.jacobian(*a),), given, (2,), batch, shared=True)
+        )
     if not lacks("hessian", 1.0)(motion):
-        made.append(Call("hessian", lambda m, *a: (m.hessian(*a),), given, (3,), batch, shared=True))
+        made.append(
+            Call("hessian", lambda m, *a: (m.hessian(*a),), given, (3,), batch, shared=True)
+        )
     if not lacks("linearise", 1.0)(motion):
         made.append(Call("linearise", _linearised, given, (1, 2), batch, shared=True))
     return made
@@ -62,7 +66,7 @@ def against_differences(
 ) -> None:
     """Compare derivatives, all entries of a row in the units that a typical step of the state has."""
     best, error = found
-    unit = scale if best.ndim == 3 else scale[:, None] * scale  # noqa: PLR2004 - a Jacobian
+    unit = scale if best.ndim == 3 else scale[:, None] * scale
     exact, best, error = exact * unit, best * unit, error * unit
     matrix = tuple(range(1, best.ndim - 1))
     size = np.abs(best).max(axis=matrix, keepdims=True, initial=0.0)
@@ -196,7 +200,11 @@ def time_step_per_lane(motion: Any, case: Case) -> None:
         agree(Q[..., i], motion.Q(x[:, i], float(dt[i])), 1e-12, f"{told} Q")
 
 
-@law("motion", name="linear as declared", unless=lambda m: "" if getattr(m, "linear", False) else "it does not declare itself linear")
+@law(
+    "motion",
+    name="linear as declared",
+    unless=lambda m: "" if getattr(m, "linear", False) else "it does not declare itself linear",
+)
 def linear_as_declared(motion: Any, case: Case) -> None:
     """A motion that declares itself linear moves differences of states by its Jacobian."""
     x, dt, u, t = _arguments(case, ())

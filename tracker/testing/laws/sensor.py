@@ -48,9 +48,13 @@ def sensor_calls(sensor: Any, case: Case, batch: tuple[int, ...]) -> list[Call]:
         Call("R", lambda s, *a: (s.R(*a),), given, (2,), batch, shared=True),
     ]
     if not _lacks("jacobian")(sensor):
-        made.append(Call("jacobian", lambda s, *a: (s.jacobian(*a),), given, (2,), batch, shared=True))
+        made.append(
+            Call("jacobian", lambda s, *a: (s.jacobian(*a),), given, (2,), batch, shared=True)
+        )
     if not _lacks("hessian")(sensor):
-        made.append(Call("hessian", lambda s, *a: (s.hessian(*a),), given, (3,), batch, shared=True))
+        made.append(
+            Call("hessian", lambda s, *a: (s.hessian(*a),), given, (3,), batch, shared=True)
+        )
     if not _lacks("linearise")(sensor):
         made.append(Call("linearise", _linearised, given, (1, 2), batch, shared=True))
     shape = (sensor.space.size, *batch)
@@ -112,7 +116,9 @@ def wraps_at_the_cut(sensor: Any, case: Case) -> None:
     plain = sensor.residual(z.copy(), zhat.copy())
     told = "a whole turn more in the measurement changes the residual"
     agree(sensor.residual(z + turns, zhat.copy()), plain, 1e-9, told, scale=1.0)
-    far = np.asarray(sensor.residual(case.rng.uniform(-20.0, 20.0, (m, 50)), np.zeros((m, 50))))[circular]
+    far = np.asarray(sensor.residual(case.rng.uniform(-20.0, 20.0, (m, 50)), np.zeros((m, 50))))[
+        circular
+    ]
     assert (far > -np.pi).all(), "a residual is not above -pi"
     assert (far <= np.pi).all(), "a residual is above pi"
 
@@ -155,7 +161,9 @@ def continuous(sensor: Any, case: Case) -> None:
         for _ in range(30):  # a smooth function's largest change dies as its interval is halved
             middle = 0.5 * (low + high)
             ends = np.asarray(measured(np.array([low, middle, high])))
-            first_half, second_half = np.abs(sensor.residual(ends[:, 1:].copy(), ends[:, :-1].copy()))[k]
+            first_half, second_half = np.abs(
+                sensor.residual(ends[:, 1:].copy(), ends[:, :-1].copy())
+            )[k]
             low, high = (low, middle) if first_half > second_half else (middle, high)
             left = max(first_half, second_half)
         told = f"component {sensor.space.names[k]!r} jumps by {left:.4g} as the target moves on"
@@ -278,7 +286,11 @@ def interpretations_agree(sensor: Any, case: Case) -> None:
         ("h", sensor.h(state, where), h),
         ("jacobian", sensor.jacobian(state, where), sensor.jacobian(x, pose)),
         ("R", sensor.R(state, where), sensor.R(x, pose)),
-        ("residual", sensor.residual(nodes("z", z), nodes("h", h)), sensor.residual(z.copy(), h.copy())),
+        (
+            "residual",
+            sensor.residual(nodes("z", z), nodes("h", h)),
+            sensor.residual(z.copy(), h.copy()),
+        ),
     ):
         worth = np.array(evaluate(list(np.ravel(traced)), values), dtype=np.float64)
         agree(worth, np.ravel(plain), 1e-9, f"{name} on graph nodes differs from {name} on arrays")

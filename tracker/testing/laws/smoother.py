@@ -151,4 +151,6 @@ def interpretations_agree(rule: Any, case: Case) -> None:
     for name in ("mean", "cov"):
         told = f"a step: the {name} on {{}} differs from that of one run"
         agree(getattr(several, name)[..., 0], getattr(one, name), 1e-9, told.format("lanes"))
-        agree(traced.worth(getattr(nodes, name)), getattr(one, name), 1e-9, told.format("graph nodes"))
+        agree(
+            traced.worth(getattr(nodes, name)), getattr(one, name), 1e-9, told.format("graph nodes")
+        )
