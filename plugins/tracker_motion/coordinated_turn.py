@@ -2,40 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from math import factorial
 from typing import Annotated, Any
-
-import numpy as np
 
 from tracker.models import ComponentMotion, cos, positive, sin, where
 from tracker.types import PLANAR, ArrayLike, Space
 
-# (1 - sin(a)/a) / a^2 = 1/3! - a^2/5! + a^4/7! - ...
-_SERIES = tuple((-1.0) ** k / float(np.prod(np.arange(2.0, 2 * k + 4))) for k in range(10))
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_TERMS = 11
+
+
+def _even(a: Any, coefficient: Callable[[int], float], closed: Callable[[Any], Any]) -> Any:
+    """``sum (-1)^k coefficient(k) a^(2k)``, whose closed form would lose digits for small angles.
+
+    Both forms, and their derivatives, are good to rounding on their side of one radian.
+    """
+    square = a * a
+    small = square < 1.0
+    near = where(small, square, 0.0)
+    series: Any = 0.0
+    for k in reversed(range(_TERMS)):
+        series = (-1.0) ** k * coefficient(k) + near * series
+    return where(small, series, closed(where(small, 1.0, a)))
 
 
 def _flattening(a: Any) -> Any:
-    """``(1 - sin(a)/a) / a^2``, to full precision with its derivatives at any angle, 0 included."""
-    square = a * a
-    small = square < 1.0  # the series has converged there; the closed form loses digits near 0
-    near = where(small, square, 0.0)
-    series: Any = _SERIES[-1]
-    for coefficient in _SERIES[-2::-1]:
-        series = coefficient + near * series
-    far = where(small, 1.0, a)
-    return where(small, series, (1.0 - sin(far) / far) / (far * far))
+    """``(a - sin(a)) / a^3``, 1/6 at 0."""
+    return _even(a, lambda k: 1.0 / factorial(2 * k + 3), lambda b: (b - sin(b)) / b**3)
 
 
-def _chord(a: Any) -> tuple[Any, Any]:
-    """``sin(a)/a`` and ``(1 - cos(a))/a``: the way covered ahead and aside, per unit of path."""
-    half = a / 2.0
-    sinc = 1.0 - half * half * _flattening(half)
-    return 1.0 - a * a * _flattening(a), half * sinc * sinc
+def _sinc(a: Any) -> Any:
+    """``sin(a) / a``, 1 at 0."""
+    return 1.0 - a * a * _flattening(a)
 
 
 def _advance(x: Any, y: Any, vx: Any, vy: Any, omega: Any, *, dt: Any) -> Any:
     a = omega * dt
-    ahead, aside = _chord(a)
+    ahead, aside = _sinc(a), a / 2.0 * _sinc(a / 2.0) ** 2  # sin(a)/a, (1 - cos(a))/a
     return (
         x + dt * (vx * ahead - vy * aside),
         y + dt * (vx * aside + vy * ahead),
@@ -46,42 +49,69 @@ def _advance(x: Any, y: Any, vx: Any, vy: Any, omega: Any, *, dt: Any) -> Any:
 
 
 def _noise(vx: Any, vy: Any, omega: Any, *, dt: Any, density: Any, turn_density: Any) -> Any:
-    total = [[0.0] * 5 for _ in range(5)]
-    for point, weight in zip(_POINTS.tolist(), _WEIGHTS.tolist(), strict=True):
-        lag = dt * ((1.0 + point) / 2.0)  # between a disturbance and the end of the step
-        step = dt * (weight / 2.0)
-        velocity, rate = _responses(vx, vy, omega, dt, lag)
-        for i in range(5):
-            for j in range(i, 5):
-                spread = density * sum(column[i] * column[j] for column in velocity)
-                total[i][j] += step * (spread + turn_density * rate[i] * rate[j])
-    return tuple(tuple(total[min(i, j)][max(i, j)] for j in range(5)) for i in range(5))
+    a = omega * dt
+    # An acceleration: what is left of it turns, what it has become as position lies on a chord.
+    position = density * 2.0 * dt**3 * _flattening(a)
+    along = density * dt**2 / 2.0 * _sinc(a / 2.0) ** 2
+    across = density * dt**2 * a * _flattening(a)
+    velocity = density * dt
+    # A change of turn rate ``lag`` seconds before the end moves the velocity v there, as a complex
+    # number, by i lag v, and the position by (ahead + i aside) v.
+    ex, ey = vx * cos(a) - vy * sin(a), vx * sin(a) + vy * cos(a)
+    xx, xy, yy = turn_density * ex * ex, turn_density * ex * ey, turn_density * ey * ey
+    wx, wy = turn_density * ex, turn_density * ey
+    g, i, gg, gi, ii, gt, it = _moments(omega, dt)
+    t, tt = dt**2 / 2.0, dt**3 / 3.0
+    return _symmetric(
+        (position + gg * xx - 2.0 * gi * xy + ii * yy, (gg - ii) * xy + gi * (xx - yy),
+         along - gt * xy + it * yy, across + gt * xx - it * xy, g * wx - i * wy),
+        (position + ii * xx + 2.0 * gi * xy + gg * yy,
+         -across - it * xy - gt * yy, along + it * xx + gt * xy, i * wx + g * wy),
+        (velocity + tt * yy, -tt * xy, -t * wy),
+        (velocity + tt * xx, t * wx),
+        (turn_density * dt,),
+    )  # fmt: skip
 
 
-def _responses(vx: Any, vy: Any, omega: Any, dt: Any, lag: Any) -> tuple[Any, Any]:
-    """What unit disturbances of vx and vy, and of omega, become ``lag`` seconds later."""
-    b = omega * lag
-    ahead, aside = _chord(b)
-    c, s = cos(b), sin(b)
-    velocity = (
-        (lag * ahead, lag * aside, c, s, 0.0),
-        (-(lag * aside), lag * ahead, -s, c, 0.0),
+def _moments(omega: Any, dt: Any) -> tuple[Any, ...]:
+    """Integrals over a step of g, i, g g, g i, i i, g lag and i lag: g ahead, i aside, as above.
+
+    With ``b = omega lag``: ``g = (b - sin(b)) / omega^2``, ``i = (1 - cos(b)) / omega^2``.
+    """
+    a = omega * dt
+    flat = _flattening(a)
+    g = _even(a, lambda k: 1.0 / factorial(2 * k + 4), lambda b: (b**2 / 2.0 - 1.0 + cos(b)) / b**4)
+    gg = _even(
+        a,
+        lambda k: (2.0 ** (2 * k + 5) - 4.0 * k - 12.0) / factorial(2 * k + 7),
+        lambda b: (
+            (b**3 / 3.0 - 2.0 * sin(b) + 2.0 * b * cos(b) + b / 2.0 - sin(b) * cos(b) / 2.0) / b**7
+        ),
     )
-    # With v the velocity at the end as a complex number: it moves by i lag v, the position by
-    # (lag/omega + i (1 - exp(-i b))/omega^2) v.
-    end = omega * dt
-    ex, ey = vx * cos(end) - vy * sin(end), vx * sin(end) + vy * cos(end)
-    half = b / 2.0
-    sinc = 1.0 - half * half * _flattening(half)
-    real, imaginary = lag * lag * b * _flattening(b), lag * lag / 2.0 * sinc * sinc
-    rate = (
-        real * ex - imaginary * ey,
-        imaginary * ex + real * ey,
-        -(lag * ey),
-        lag * ex,
-        1.0,
+    ii = _even(
+        a,
+        lambda k: (2.0 ** (2 * k + 3) - 2.0) / factorial(2 * k + 5),
+        lambda b: (1.5 * b - 2.0 * sin(b) + sin(b) * cos(b) / 2.0) / b**5,
     )
-    return velocity, rate
+    gt = _even(
+        a,
+        lambda k: (2.0 * k + 4.0) / factorial(2 * k + 5),
+        lambda b: (b**3 / 3.0 - sin(b) + b * cos(b)) / b**5,
+    )
+    it = _even(
+        a,
+        lambda k: (2.0 * k + 3.0) / factorial(2 * k + 4),
+        lambda b: (b**2 / 2.0 - b * sin(b) - cos(b) + 1.0) / b**4,
+    )
+    return (
+        dt**3 * a * g, dt**3 * flat, dt**5 * a * a * gg, dt**5 * a * flat**2 / 2.0, dt**5 * ii,
+        dt**4 * a * gt, dt**4 * it,
+    )  # fmt: skip
+
+
+def _symmetric(*upper: tuple[Any, ...]) -> Any:
+    n = len(upper)
+    return tuple(tuple(upper[min(i, j)][abs(i - j)] for j in range(n)) for i in range(n))
 
 
 def coordinated_turn(
@@ -93,10 +123,9 @@ def coordinated_turn(
     exact at any turn rate, zero included. ``density`` is the spectral density of the acceleration on
     each axis, ``turn_density`` that of the turn rate's derivative. The noise of a step is not Gaussian;
     Q is its covariance to first order in the disturbances: each is carried along the undisturbed turn
-    to the end of the step, and their contributions are integrated by an 8-point Gauss-Legendre rule
-    (relative error below 1e-9 for turns of up to half a circle in a step). This keeps what simpler
-    choices give up: Q depends on speed and direction, couples turn rate with position, goes over
-    into that of constant velocity as omega and turn_density vanish, and composes over steps.
+    to the end of the step, and their contributions are integrated in closed form. This keeps what
+    simpler choices give up: Q depends on speed and direction, couples turn rate with position, goes
+    over into that of constant velocity as omega and turn_density vanish, and composes over steps.
 
     Shapes:
         state ``(5, *batch)``: x, y, vx, vy, omega.

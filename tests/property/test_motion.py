@@ -207,6 +207,15 @@ def test_a_turn_is_right_at_any_rate(exponent, sign):
     np.testing.assert_allclose([*f[:2], *J[:2, 4]], expected, rtol=1e-12, atol=1e-16)
 
 
+@given(turn=st.floats(-30.0, 30.0), share=st.floats(0.0, 1.0))
+def test_the_noise_of_a_turn_composes_however_far_it_turns(turn, share):
+    x = np.array([1.0, 2.0, 10.0, -4.0, turn])
+    middle = TURN.f(x, share)
+    F = TURN.jacobian(middle, 1.0 - share)
+    together = F @ TURN.Q(x, share) @ F.T + TURN.Q(middle, 1.0 - share)
+    assert_close(together, TURN.Q(x, 1.0), tolerance=1e-11)
+
+
 def test_a_turn_at_rate_zero_is_a_straight_line_with_finite_derivatives():
     x = np.array([1.0, 2.0, 3.0, 4.0, 0.0])
     np.testing.assert_array_equal(TURN.f(x, 2.0), [7.0, 10.0, 3.0, 4.0, 0.0])
