@@ -1,0 +1,1 @@
+"""What the site adds to Sphinx: reading our docstrings, pages from the registry, drawn pictures."""
