@@ -29,18 +29,17 @@ h1 { font-size: 1.7rem; line-height: 1.2; margin: 1rem 0 0.3rem; }
 h2 { font-size: 1.2rem; margin: 2.4rem 0 0.6rem; padding-top: 0.8rem; border-top: 1px solid var(--rule); }
 p { margin: 0.6rem 0; max-width: 46rem; }
 ul { padding-left: 1.2rem; max-width: 46rem; }
-.wide { overflow-x: auto; margin: 0.8rem 0; }
 table { border-collapse: collapse; font-size: 0.92rem; font-variant-numeric: tabular-nums;
   overflow-wrap: normal; }
-caption, figcaption { text-align: left; color: var(--quiet); font-size: 0.9rem; }
-caption { padding-bottom: 0.5rem; }
-figcaption { padding-top: 0.4rem; max-width: 46rem; }
+figcaption { color: var(--quiet); font-size: 0.9rem; padding-top: 0.4rem; max-width: 46rem; }
 th, td { padding: 0.32rem 0.6rem; border-bottom: 1px solid var(--rule); text-align: left;
   vertical-align: top; }
 th { background: var(--head); font-weight: 600; }
 .number { text-align: right; }
 .number, .short { white-space: nowrap; }
 figure { margin: 1.2rem 0 1.8rem; max-width: 46rem; }
+figure.wide { max-width: none; }
+.wide > div { overflow-x: auto; }
 img { display: block; width: 100%; height: auto; background: #ffffff; border: 1px solid var(--rule);
   border-radius: 4px; }
 """
@@ -111,10 +110,10 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "")
         )
 
     lines = "\n".join(f"<tr>{row('td', cells)}</tr>" for cells in body)
-    said = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    said = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
     return Markup(
-        f'<div class="wide"><table>{said}<thead><tr>{row("th", head)}</tr></thead>\n'
-        f"<tbody>{lines}</tbody></table></div>"
+        f'<figure class="wide"><div><table><thead><tr>{row("th", head)}</tr></thead>\n'
+        f"<tbody>{lines}</tbody></table></div>{said}</figure>"
     )
 
 
