@@ -42,7 +42,7 @@ _SETTINGS: Any = {
     "legend.frameon": False,
     "lines.linewidth": 1.6,
     "path.simplify": True,
-    "savefig.dpi": 160,
+    "savefig.dpi": 144,
     "svg.fonttype": "path",
     "svg.hashsalt": "tracker",    # the same picture, the same bytes
     "text.color": INK,

@@ -234,12 +234,12 @@ def draw_map(outcome: Outcome, log: DetectionLog) -> Figure:
         axes.annotate(
             f"target {target}",
             (float(begin[0]), float(begin[1])),
-            xytext=(0, 9),
+            xytext=(0, 17 if truth.position[1, -1] < begin[1] else -17),  # not on its own path
             textcoords="offset points",
             ha="center",
+            va="center",
             fontweight="bold",
             zorder=6,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0},
         )
     axes.plot([], [], color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="truth, from its dot")
     axes.fill([], [], color=QUIET, alpha=0.4, label="95 % ellipse")
@@ -386,11 +386,14 @@ def draw_bearings(outcome: Outcome, log: DetectionLog) -> Figure:
             azimuth = np.degrees(np.arctan2(east, north))
             azimuth[1:][np.abs(np.diff(azimuth)) > 180.0] = np.nan  # no line across the cut
             axes.plot(t, azimuth, color=INK, linewidth=1.0, label="true bearing")
+            begin = int(np.isfinite(azimuth).argmax())
             axes.annotate(
                 target,
-                (float(t[0]), float(azimuth[0])),
-                xytext=(-9, -4),
+                (float(t[begin]), float(azimuth[begin])),
+                xytext=(-4, 0),
                 textcoords="offset points",
+                ha="right",
+                va="center",
             )
         axes.set_title(name)
         axes.set(ylabel="azimuth from north [\N{DEGREE SIGN}]")
