@@ -23,6 +23,10 @@ _COMPONENTS = (
         equations=("(3)-(8)", "paper 1 (6), (14)"),
         tags=("linear", "kinematic", "discrete-noise", "known-input", "1-D", "2-D", "3-D"),
         examples=("acceleration_input(sigma=0.05)",),
+        deviations={
+            "Q composes": "accelerations are constant over each step by definition (paper 2, eq. 3-8): "
+            "two half steps draw two of them, one step draws one"
+        },
     ),
     Component(
         kind="motion",

@@ -16,13 +16,17 @@ from tracker.types import Array
 
 LEVELS = 14
 LARGEST = 0.1
+ROUNDING = 4.0 * float(np.finfo(float).eps)
 
 Function = Callable[[Array], Array]
 Difference = Callable[[Array, Array], Any]
 
 
-def _extrapolated(raw: Array) -> tuple[Array, Array]:
-    """Best value and its error estimate from ``(LEVELS, ...)`` quotients at halving steps."""
+def _extrapolated(raw: Array, rounding: Array) -> tuple[Array, Array]:
+    """Best value and its error estimate from ``(LEVELS, ...)`` quotients at halving steps.
+
+    ``rounding`` is what rounding alone may do to each quotient: two that agree better do so by luck.
+    """
     best, error = raw[0].copy(), np.full(raw[0].shape, np.inf)
     before = [raw[0]]
     for level in range(1, len(raw)):
@@ -31,6 +35,7 @@ def _extrapolated(raw: Array) -> tuple[Array, Array]:
             factor = 4.0**order
             row.append((factor * row[-1] - before[order - 1]) / (factor - 1.0))
             doubt = np.maximum(np.abs(row[-1] - row[-2]), np.abs(row[-1] - before[order - 1]))
+            doubt = np.maximum(doubt, rounding[level])
             better = doubt < error
             best, error = np.where(better, row[-1], best), np.where(better, doubt, error)
         before = row
@@ -65,7 +70,8 @@ def first(
         offsets[i, 0, :, i], offsets[i, 1, :, i] = h[:, i], -h[:, i]
     value = _along(function, x, offsets)
     raw = difference(value[:, 0], value[:, 1]) / (2.0 * h)
-    return _extrapolated(np.moveaxis(raw, 1, 0))
+    rounding = ROUNDING * np.abs(value).max(axis=1) / h
+    return _extrapolated(np.moveaxis(raw, 1, 0), np.moveaxis(rounding, 1, 0))
 
 
 def second(
@@ -90,7 +96,10 @@ def second(
     bend = difference(value[:, 0], centre) + difference(value[:, 1], centre)
     # In units of scale: the curvature along e_i + e_j is that of i, plus that of j, plus 2 ij.
     unit = (LARGEST * 0.5 ** np.arange(LEVELS)).reshape(LEVELS, 1, 1) ** 2
-    curvature, doubt = _extrapolated(np.moveaxis(bend / unit, 1, 0))  # (m, pairs, B)
+    rounding = np.abs(value).max(axis=1) * (ROUNDING / unit)
+    curvature, doubt = _extrapolated(  # (m, pairs, B)
+        np.moveaxis(bend / unit, 1, 0), np.moveaxis(rounding, 1, 0)
+    )
     out, error = np.empty((2, len(value), n, n, lanes))
     own = [pairs.index((i, i)) for i in range(n)]
     for k, (i, j) in enumerate(pairs):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from tracker.errors import CapabilityError, DomainError, TrackerError, wording
 from tracker.testing.law import KINDS, Law, Regions, laws
+from tracker.types import Space
 
 if TYPE_CHECKING:
     import pytest
@@ -281,44 +283,59 @@ def parametrize_checks(
 def from_record(record: Component) -> Any:
     """The component that a registry's record describes, made from its defaults or its first example.
 
-    An example reads ``name(parameter=literal, ...)``; it is read, never evaluated.
+    An example reads ``name(parameter=value, ...)`` with numbers, texts, lists, ``Space.of(...)`` and
+    other components of the registry as values; it is read so, and never evaluated.
 
     Raises:
         CapabilityError: if neither makes one.
     """
     from tracker.registry import describe_parameters
 
-    chosen: list[dict[str, Any]] = [{}]
-    if any(parameter.required for parameter in describe_parameters(record)):
-        chosen = [given for example in record.examples if (given := _arguments(example))]
-    for given in chosen[:1]:
+    if not any(parameter.required for parameter in describe_parameters(record)):
+        return _made(record, record.make)
+    for example in record.examples:
         try:
-            return record.make(**given)
-        except TrackerError:
-            raise
-        except Exception as error:
-            raise CapabilityError(
-                f"{record} cannot be made: {type(error).__name__}: {error}"
-            ) from error
+            call = ast.parse(example, mode="eval").body
+        except SyntaxError:
+            continue
+        return _made(record, functools.partial(_value, call, record))
     raise CapabilityError(
         wording(
-            f"{record.kind} {record.name!r}",
-            got="parameters without defaults, and no example with plain numbers",
+            str(record),
+            got="parameters without defaults, and no example",
             expected=f"an example such as '{record.name}(sigma=0.01)' in its record",
             do="add one, or check it in Python: tracker.testing.check_component(component)",
         )
     )
 
 
-def _arguments(example: str) -> dict[str, Any]:
-    """Keywords and plain values of an example; none where it is not of that form."""
+def _made(record: Component, make: Callable[[], Any]) -> Any:
     try:
-        call = ast.parse(example, mode="eval").body
-        if not isinstance(call, ast.Call) or call.args:
-            return {}
-        return {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
-    except (SyntaxError, ValueError):
-        return {}
+        return make()
+    except TrackerError:
+        raise
+    except Exception as error:
+        told = f"{record} cannot be made: {type(error).__name__}: {error}"
+        raise CapabilityError(told) from error
+
+
+def _value(node: ast.expr, record: Component) -> Any:
+    """What a part of an example stands for, in the little language of `from_record`."""
+    if isinstance(node, (ast.List, ast.Tuple)):
+        return [_value(element, record) for element in node.elts]
+    if not isinstance(node, ast.Call):
+        return ast.literal_eval(node)
+    positional = [_value(one, record) for one in node.args]
+    keywords = {str(one.arg): _value(one.value, record) for one in node.keywords}
+    name = ast.unparse(node.func)
+    if name == "Space.of":
+        return Space.of(*positional)
+    if name == record.name:
+        return record.load()(*positional, **keywords)
+    from tracker.registry import default_registry
+
+    (other,) = default_registry().find(name)
+    return other.load()(*positional, **keywords)
 
 
 def check_record(record: Component) -> Report:

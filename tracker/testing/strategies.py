@@ -41,8 +41,8 @@ def spread(space: Space) -> Array:
     return np.array([_SPREAD.get(axis.unit, 1.0) for axis in space])
 
 
-def generators() -> st.SearchStrategy[np.random.Generator]:
-    """NumPy generators made from drawn seeds.
+def generators(stream: int = 0) -> st.SearchStrategy[np.random.Generator]:
+    """NumPy generators made from drawn seeds; equal seeds of different streams share no numbers.
 
     Example:
     >>> from hypothesis import given
@@ -50,7 +50,7 @@ def generators() -> st.SearchStrategy[np.random.Generator]:
     ... def holds(rng):
     ...     assert abs(rng.uniform()) < 1
     """
-    return st.integers(0, 2**32 - 1).map(np.random.default_rng)
+    return st.integers(0, 2**32 - 1).map(lambda seed: np.random.default_rng([stream, seed]))
 
 
 def batch_shapes() -> st.SearchStrategy[tuple[int, ...]]:
@@ -99,7 +99,7 @@ def states(draw: st.DrawFn, of: Any, batch: tuple[int, ...] = ()) -> Array:
     ...     assert x.shape == (4, 3)
     """
     space = _spaces(of, "state", "space")
-    rng = draw(generators())
+    rng = draw(generators(1))
     x = np.asarray(rng.uniform(-1.0, 1.0, (space.size, *batch)))
     for i, axis in enumerate(space):
         x[i] *= _SPREAD.get(axis.unit, 1.0)
@@ -126,7 +126,7 @@ def poses(draw: st.DrawFn, of: Any, batch: tuple[int, ...] = ()) -> Array | None
         ``(p, *batch)``.
     """
     space = _spaces(of, "pose_space")
-    rng = draw(generators())
+    rng = draw(generators(2))
     if not space.size:
         return None
     p = np.asarray(rng.uniform(-1.0, 1.0, (space.size, *batch)))
@@ -149,7 +149,7 @@ def covariances(
     Shapes:
         ``(n, n, *batch)``, exactly symmetric.
     """
-    rng, reach = draw(generators()), draw(st.floats(-decades, decades))
+    rng, reach = draw(generators(3)), draw(st.floats(-decades, decades))
     lanes = int(np.prod(batch, dtype=int))
     axes, _ = np.linalg.qr(rng.standard_normal((lanes, n, n)))
     roots = 10.0 ** (np.linspace(0.0, reach, n) / 2.0)
@@ -171,7 +171,7 @@ def records(
     Shapes:
         t ``(steps,)``; z ``(steps, m, *batch)``; pose ``(steps, p, *batch)`` or None.
     """
-    rng = draw(generators())
+    rng = draw(generators(4))
     t = np.cumsum(rng.uniform(0.1, 2.0, steps) * rng.choice([0.0, 1.0, 1.0], steps))
     rows, where = [], []
     for _ in range(steps):
