@@ -271,7 +271,7 @@ def _part(table: toml.Table, catalogue: registry.Catalogue[T]) -> Part[T]:
     try:
         made = catalogue.make(name, **given)
     except Exception as error:
-        if isinstance(error, TrackerError) and not isinstance(error, ValueError):
+        if isinstance(error, PluginError):
             raise  # not the file's fault: something is not installed
         key = next((key for key in given if f"'{key}'" in str(error)), None)
         said = str(error) if isinstance(error, TrackerError) else f"{type(error).__name__}: {error}"

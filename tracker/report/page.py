@@ -37,6 +37,7 @@ th, td { padding: 0.32rem 0.6rem; border-bottom: 1px solid var(--rule); text-ali
 th { background: var(--head); font-weight: 600; }
 .number { text-align: right; }
 .number, .short { white-space: nowrap; }
+td:not([class]) { min-width: 14rem; }
 figure { margin: 1.2rem 0 1.8rem; max-width: 46rem; }
 figure.wide { max-width: none; }
 .wide > div { overflow-x: auto; }

@@ -196,8 +196,8 @@ def _bearing_section(
         page.figure(
             svg(partial(draw_bearings, outcome, log)),
             f"{outcome.name}: every bearing that the cameras reported, in grey; those given to a "
-            "track, in its colour; where the targets truly were, as lines. Bearings in colour away "
-            "from their line were wrongly given.",
+            "track, in its colour; where the targets truly were, as lines. Colour away from its line "
+            "was wrongly given, or badly measured.",
             f"Bearings over time and how {outcome.name} used them",
         )
         for outcome in outcomes
