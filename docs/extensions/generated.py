@@ -19,6 +19,7 @@ def catalogue() -> str:
     lines = ["# Component catalogue", ""]
     lines += [
         "Made from the registry when this site was built; `tracker list` prints the same.",
+        "Numbers of papers are [explained here](../reference/papers.md).",
         "",
     ]
     own = [c for c in registry.search() if c.origin.distribution == OWN_DISTRIBUTION]
@@ -58,13 +59,20 @@ def _entry(component: Any) -> list[str]:
     if parameters:
         lines += ["| parameter | unit | default |", "|---|---|---|"]
         lines += [
-            f"| `{p.name}` | {p.unit or '-'} | {'required' if p.required else f'`{p.default}`'} |"
+            f"| `{p.name}` | {p.unit or '-'} | {'required' if p.required else _default(p)} |"
             for p in parameters
         ]
         lines += [""]
     for example in component.examples:
         lines += [f"Example: `{example}`", ""]
     return lines
+
+
+def _default(parameter: Any) -> str:
+    from tracker.types import PLANAR, SPATIAL
+
+    named = {repr(PLANAR): "PLANAR", repr(SPATIAL): "SPATIAL"}
+    return f"`{named.get(parameter.default, parameter.default)}`"
 
 
 def _sentence(text: str) -> str:
@@ -79,13 +87,11 @@ def commands() -> str:
     from tracker.cli import main
 
     lines = ["# Commands", "", "What `--help` prints, taken from the program itself.", ""]
-    context = click.Context(main, info_name="tracker", terminal_width=88, max_content_width=88)
+    context = click.Context(main, info_name="tracker", terminal_width=88, **main.context_settings)
     lines += ["```text", main.get_help(context), "```", ""]
     for name in main.list_commands(context):
         command = main.get_command(context, name)
-        below = click.Context(
-            command, info_name=name, parent=context, terminal_width=88, max_content_width=88
-        )
+        below = click.Context(command, info_name=name, parent=context, terminal_width=88)
         lines += [f"## `tracker {name}`", "", "```text", command.get_help(below), "```", ""]
     lines += [
         "## Environment",
