@@ -19,6 +19,14 @@ DATA = Path(__file__).parent / "data"
 TOLERANCE = 1e-9
 
 
+@pytest.fixture(params=["off", "on"], ids=["arrays", "compiled where possible"])
+def interpretation(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TRACKER_COMPILE", request.param)
+
+
+both = pytest.mark.usefixtures("interpretation")
+
+
 def read(path: Path) -> Array:
     """The numbers of a table below its header line."""
     with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
@@ -115,6 +123,7 @@ def check(trajectory: tk.Trajectory, lane: tuple[int, ...], path: Path, what: st
         assert difference < TOLERANCE, f"{what} {label} differ by {difference:.1e} from {path.name}"
 
 
+@both
 @pytest.mark.parametrize("seed", ["seed1", "seed2", "seed3"])
 @shapes
 def test_ekf1_and_rts_on_two_bearings_agree(seed: str, shape: str) -> None:
@@ -127,6 +136,7 @@ def test_ekf1_and_rts_on_two_bearings_agree(seed: str, shape: str) -> None:
     check(history.smoothed, lane, folder / "ekf1_rts.csv.gz", "smoothed")
 
 
+@both
 @shapes
 def test_kf_and_rts_on_an_accelerating_target_agree(shape: str) -> None:
     estimator, record, prior, start = accelerating()
@@ -139,6 +149,7 @@ def test_kf_and_rts_on_an_accelerating_target_agree(shape: str) -> None:
     check(history.smoothed, lane, folder / "kf_tf.csv.gz", "two-filter smoothed")
 
 
+@both
 @pytest.mark.parametrize("name", ["ekf1", "ekf1_joseph"])
 def test_an_extended_filter_on_a_linear_problem_is_the_kalman_filter(name: str) -> None:
     estimator, record, prior, start = accelerating()
@@ -147,7 +158,10 @@ def test_an_extended_filter_on_a_linear_problem_is_the_kalman_filter(name: str) 
     check(filtered, (), DATA / "kfcwpa" / "kf.csv.gz", f"{name} filtered")
 
 
-def test_the_step_on_line_is_the_filter_of_the_record() -> None:
+def test_on_arrays_the_step_on_line_is_the_filter_of_the_record(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TRACKER_COMPILE", "off")
     estimator, record, prior, start = two_bearings("seed1")
     history = tk.filter(estimator, record, prior, start=start)
     state, before = prior, start

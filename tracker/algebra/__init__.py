@@ -16,6 +16,9 @@ Filters themselves do not belong here.
 
 from __future__ import annotations
 
+import functools
+import math
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -44,13 +47,18 @@ __all__ = [
 
 def _of(matrix: Any) -> Any:
     """The interpretation that a covariance-like value asks for."""
-    if matrix.dtype == object:
+    if matrix.dtype.hasobject:
         return components
-    if matrix.ndim == 2:  # noqa: PLR2004 - a matrix without batch axes
-        from tracker.algebra import one  # noqa: PLC0415 - SciPy is imported on the first such step
+    if matrix.ndim > 2:
+        return lanes
+    return _one_run()
 
-        return one
-    return lanes
+
+@functools.cache
+def _one_run() -> ModuleType:
+    from tracker.algebra import one  # SciPy is imported on the first such step
+
+    return one
 
 
 def congruence(F: Any, P: Any) -> Any:
@@ -103,13 +111,20 @@ def residual(z: Any, zhat: Any, circular: bool | tuple[bool, ...]) -> Any:
     difference = z - zhat
     if circular is False:
         return difference
-    if difference.dtype == object:
+    if difference.dtype.hasobject:
         return components.residual(difference, circular)
+    if difference.ndim == 1:
+        flags = (circular,) * len(difference) if circular is True else circular
+        for i, value in enumerate(difference.tolist()):
+            if flags[i] and not -math.pi < value <= math.pi:
+                difference[i] = wrap(value)
+        return difference
     if circular is True:
-        return lanes.wrapped(difference)
+        lanes.wrap_in_place(difference)
+        return difference
     for i, flag in enumerate(circular):
         if flag:
-            difference[i : i + 1] = lanes.wrapped(difference[i : i + 1])
+            lanes.wrap_in_place(difference[i])
     return difference
 
 
@@ -139,7 +154,8 @@ def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
     Shapes:
         S ``(m, m, *batch)``; cross ``(n, m, *batch)``; v ``(m, *batch)``.
     """
-    return (components if S.dtype == object else lanes).without_missing(S, cross, v)
+    chosen: Any = components if S.dtype.hasobject else lanes
+    return chosen.without_missing(S, cross, v)  # type: ignore[no-any-return]
 
 
 def mahalanobis(v: Any, S: Any) -> Any:
@@ -174,4 +190,6 @@ def dense(H: Any) -> Any:
 
 def finite(value: Any) -> Any:
     """Whether each lane is finite; a graph node answers True: its kernel flags lanes itself."""
+    if type(value) is float:
+        return math.isfinite(value)
     return np.isfinite(value) if isinstance(value, (float, np.ndarray)) else True

@@ -11,27 +11,25 @@ from typing import Any
 
 import numpy as np
 
+from tracker.models.functions import wrap
 from tracker.types import Columns
 
-TAU = 2.0 * math.pi
-LOG_TAU = math.log(TAU)
+LOG_TAU = math.log(2.0 * math.pi)
 
 
-def wrapped(angle: Any) -> Any:
-    """`tracker.models.wrap` with fewer temporaries."""
-    turns = angle * (-1.0 / TAU)
-    turns += 0.5
-    np.floor(turns, turns)
-    turns *= TAU
-    turns += angle
-    return np.minimum(turns, math.pi, out=turns)
+def wrap_in_place(angles: Any) -> None:
+    """`tracker.models.wrap` of the few angles that need it."""
+    outside = np.abs(angles) >= math.pi
+    if outside.any():
+        angles[outside] = wrap(angles[outside])
 
 
 def _shared(F: Any) -> bool:
     return all(length == 1 for length in F.shape[2:])
 
 
-def _mirror(A: Any) -> None:
+def mirror(A: Any) -> None:
+    """Copy the upper triangle over the lower one."""
     for j in range(len(A) - 1):
         A[j + 1 :, j] = A[j, j + 1 :]
 
@@ -47,7 +45,7 @@ def congruence(F: Any, P: Any) -> Any:
     else:
         half = np.einsum("ik...,kj...->ij...", F, P)
         out = np.einsum("ik...,jk...->ij...", half, F)
-    _mirror(out)
+    mirror(out)
     return out
 
 
@@ -72,7 +70,7 @@ def symmetric_product(A: Any, H: Any) -> Any:
         out = np.einsum("aj...,cj...->ac...", used, H.entries)
     else:
         out = np.einsum("aj...,cj...->ac...", A, H)
-    _mirror(out)
+    mirror(out)
     return out
 
 

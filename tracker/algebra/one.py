@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -18,10 +19,23 @@ def _dense(H: Any) -> Any:
     return H.dense() if isinstance(H, Columns) else H
 
 
+@functools.cache
+def _triangles(n: int) -> tuple[Any, Any]:
+    row, column = np.tril_indices(n, -1)
+    return row * n + column, column * n + row
+
+
+def _mirror(A: Any) -> None:
+    """Copy the upper triangle over the lower one; for few entries much faster than averaging both."""
+    lower, upper = _triangles(len(A))
+    A.put(lower, A.take(upper))
+
+
 def congruence(F: Any, P: Any) -> Any:
     F = _dense(F)
     out = F.dot(P).dot(F.T)
-    return 0.5 * (out + out.T)
+    _mirror(out)
+    return out
 
 
 def product(H: Any, P: Any) -> Any:
@@ -30,7 +44,8 @@ def product(H: Any, P: Any) -> Any:
 
 def symmetric_product(A: Any, H: Any) -> Any:
     out = A.dot(_dense(H).T)
-    return 0.5 * (out + out.T)
+    _mirror(out)
+    return out
 
 
 def factor(P: Any) -> Any:
@@ -55,7 +70,7 @@ def mahalanobis(v: Any, S: Any) -> Any:
 
 def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
     HP = cross.T
-    if np.isnan(v).any():
+    if math.isnan(sum(v.tolist())):
         seen = np.flatnonzero(~np.isnan(v))
         if not len(seen):
             zero = 0.0 * mean.sum()
@@ -68,5 +83,5 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     y = dtrtrs(L, v, 1)[0]
     W = dtrtrs(L, HP, 1)[0]
     nis = float(y.dot(y))
-    loglik = -0.5 * (nis + 2.0 * math.log(L.diagonal().prod()) + LOG_TAU * len(v))
+    loglik = -0.5 * (nis + 2.0 * math.log(math.prod(L.diagonal().tolist())) + LOG_TAU * len(v))
     return mean + y.dot(W), cov - W.T.dot(W), nis, loglik, float(len(v))

@@ -10,6 +10,7 @@ import functools
 import inspect
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -123,6 +124,11 @@ class Trace:
         return inputs_of(e for row in self.first for e in row)
 
     @functools.cached_property
+    def linear(self) -> bool:
+        """Whether the first derivatives do not depend on the positional inputs."""
+        return self.first_depends_on.isdisjoint(self.positional)
+
+    @functools.cached_property
     def depends_on(self) -> frozenset[str]:
         """Inputs that the outputs depend on."""
         return inputs_of(self.roots)
@@ -158,7 +164,9 @@ class Trace:
         found = self._forms.get(key)
         if found is None:
             make = array_form if kind == "array" else float_form
-            found = make(self.entries(what, width, places), self.inputs, f"{self.label}.{what}")
+            inputs = {name: f"x[{i}]" for name, i in zip(self.positional, places, strict=True)}
+            inputs |= {name: f"k[{i}]" for i, name in enumerate(self.keywords)}
+            found = make(self.entries(what, width, places), inputs, f"{self.label}.{what}")
             self._forms[key] = found
         return found
 
@@ -185,15 +193,42 @@ def _traced(function: Author) -> Trace | TraceError:
     return found
 
 
+class _Bound:
+    """Some entries of a trace for one state: shape, forms, and an answer that may be given again."""
+
+    __slots__ = ("arrays", "columns", "depends", "entries", "flat", "floats", "kept", "shape")
+
+    def __init__(self, trace: Trace, what: str, width: int, places: tuple[int, ...]) -> None:
+        self.entries = trace.entries(what, width, places)
+        m = len(trace.roots)
+        self.columns = tuple([places[j] for j in trace.columns])
+        self.shape: tuple[int, ...] = {
+            "value": trace.shape,
+            "first": (m, width),
+            "second": (m, width, width),
+            "columns": (m, len(self.columns)),
+        }.get(what, (len(self.entries),))
+        self.flat = len(self.shape) == 1
+        self.depends = not inputs_of(self.entries).isdisjoint(trace.positional)
+        self.floats = trace.form(what, "float", width, places)
+        self.arrays = functools.partial(trace.form, what, "array", width, places)
+        # Keyword values and the answer to them, where the state does not matter: mostly dt, and Q
+        # or R of the step before.
+        self.kept: tuple[Sequence[float], Array] | None = None
+
+
+_NOTHING: tuple[Any, list[Any], bool, bool] = (None, [], True, False)
+
+
 class ComponentFunction:
     """An author's function bound to the components of a state.
 
     Keyword values come with each call. `evaluate`, `first`, `second` and `linearise` accept one
     run ``(n,)``, arrays of lanes ``(n, *batch)``, or object arrays ``(n,)`` of graph nodes. A result
-    that all lanes share has trailing axes of length 1.
+    that all lanes share has trailing axes of length 1; one that no state changes is read-only.
     """
 
-    __slots__ = ("_forms", "_trace", "author", "keywords", "places", "positional", "width")
+    __slots__ = ("_bound", "_last", "_trace", "author", "keywords", "places", "positional", "width")
 
     def __init__(self, author: Author, state: Sequence[str], owner: str) -> None:
         self.author = author
@@ -208,7 +243,8 @@ class ComponentFunction:
         self.width = len(state)
         self.places = tuple(list(state).index(name) for name in self.positional)
         self._trace: Trace | TraceError | None = None
-        self._forms: dict[str, Any] = {}
+        self._bound: dict[str, _Bound] = {}
+        self._last = _NOTHING
 
     def _attempt(self) -> Trace | TraceError:
         if self._trace is None:
@@ -216,13 +252,13 @@ class ComponentFunction:
         return self._trace
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = (name for name in self.__slots__ if name not in ("_forms", "_trace"))
+        kept = (name for name in self.__slots__ if not name.startswith("_"))
         return {name: getattr(self, name) for name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
             setattr(self, name, value)
-        self._trace, self._forms = None, {}  # made again where they arrive
+        self._trace, self._bound, self._last = None, {}, _NOTHING  # made again where they arrive
 
     @property
     def traced(self) -> bool:
@@ -250,107 +286,112 @@ class ComponentFunction:
     @property
     def linear(self) -> bool:
         """Whether the derivatives do not depend on the state."""
-        return self.traced and self.trace.first_depends_on.isdisjoint(self.positional)
+        found = self._attempt()
+        return not isinstance(found, TraceError) and found.linear
 
     # ------------------------------------------------------------------------- evaluation
     def evaluate(self, x: Any, keywords: Mapping[str, Any]) -> Any:
         """Outputs, ``(*shape, *batch)``."""
-        if not self.traced:
-            return self._opaque(x, keywords)
-        out = self._run("value", x, keywords)
-        return out.reshape(self.trace.shape + out.shape[1:])
+        if "value" in self._bound or self.traced:
+            return self._run("value", x, keywords)
+        return self._opaque(x, keywords)
 
     def first(self, x: Any, keywords: Mapping[str, Any]) -> Any:
         """Jacobian by the whole state, ``(m, n, *batch)``."""
-        out = self._run("first", x, keywords)
-        return out.reshape((len(out) // self.width, self.width, *out.shape[1:]))
+        return self._run("first", x, keywords)
 
     def second(self, x: Any, keywords: Mapping[str, Any]) -> Any:
         """Hessians by the whole state, ``(m, n, n, *batch)``."""
-        out = self._run("second", x, keywords)
-        m = len(out) // self.width**2  # not -1: a batch may be empty
-        return out.reshape((m, self.width, self.width, *out.shape[1:]))
+        return self._run("second", x, keywords)
 
     def linearise(self, x: Any, keywords: Mapping[str, Any]) -> tuple[Any, Any]:
         """Outputs and Jacobian, sharing what they have in common; `Columns` for arrays of lanes."""
-        if x.ndim == 1:
-            out = self._run("joint", x, keywords)
-            m = len(out) // (1 + self.width)
-            return out[:m], out[m:].reshape((m, self.width, *out.shape[1:]))
         trace = self.trace
-        m, k = len(trace.roots), len(trace.columns)
-        columns = tuple([self.places[j] for j in trace.columns])
-        if self.linear:
+        m = len(trace.roots)
+        if x.ndim == 1:
+            if trace.linear:
+                return self._run("value", x, keywords), self._run("first", x, keywords)
+            out = self._run("joint", x, keywords)
+            return out[:m], out[m:].reshape(m, self.width)
+        if trace.linear:
             value, first = self._run("value", x, keywords), self._run("columns", x, keywords)
-        else:
-            out = self._run("joint columns", x, keywords)
-            value, first = out[:m], out[m:]
-        return value, Columns(first.reshape((m, k, *first.shape[1:])), columns, self.width)
-
-    def _form(self, what: str, kind: str) -> Any:
-        key = what + kind
-        found = self._forms.get(key)
-        if found is None:
-            trace = self.trace
-            form = trace.form(what, kind, self.width, self.places)
-            entries = trace.entries(what, self.width, self.places)
-            depends = not inputs_of(entries).isdisjoint(trace.positional)
-            found = self._forms[key] = (form, len(entries), depends)
-        return found
+            return value, Columns(first, self._bound["columns"].columns, self.width)
+        out = self._run("joint columns", x, keywords)
+        columns = self._bound["joint columns"].columns
+        first = out[m:].reshape((m, len(columns), *out.shape[1:]))
+        return out[:m], Columns(first, columns, self.width)
 
     def _run(self, what: str, x: Any, keywords: Mapping[str, Any]) -> Any:
-        """The flat entries, ``(count, *batch)``."""
+        """What is asked for, ``(*shape, *batch)``."""
+        bound = self._bound.get(what)
+        if bound is None:
+            bound = self._bound[what] = _Bound(self.trace, what, self.width, self.places)
+        known, given, shared, symbolic = self._last
+        if keywords is not known:
+            given, shared, symbolic = self._given(keywords)
+        if symbolic or x.dtype.hasobject:
+            return self._on_nodes(bound, x.tolist(), given)
+        if shared:
+            if not bound.depends:
+                return self._kept(bound, given, x.ndim - 1)
+            if x.ndim == 1:  # Python floats beat NumPy's scalars several times
+                return self._on_floats(bound, x.tolist(), given)
+        batch = x.shape[1:]
+        if not shared:
+            batch = _broadcast(batch, self.keywords, given, self.trace.label)
+        out = np.empty((len(bound.entries), *batch))
+        with np.errstate(all="ignore"):  # a lane at a singular place is NaN, and harms no neighbour
+            bound.arrays()(x, given, out)
+        return out if bound.flat else out.reshape(bound.shape + batch)
+
+    def _given(self, keywords: Mapping[str, Any]) -> tuple[list[Any], bool, bool]:
+        """The keyword values; whether all lanes share them; whether some are graph nodes."""
         given = [keywords[name] for name in self.keywords]
-        if x.dtype == object:
-            return self._on_nodes(what, [*(x[i] for i in self.places), *given])
-        shared = True
+        shared, symbolic = True, False
         for i, value in enumerate(given):
             if type(value) is not float:
                 if isinstance(value, Node):
-                    return self._on_nodes(what, [*(x[i].item() for i in self.places), *given])
-                if np.ndim(value):
+                    symbolic = True
+                elif np.ndim(value):
                     shared = False
                 else:
                     given[i] = as_float(value)
-        batch = x.shape[1:]
-        form, count, depends = self._form(what, "float")
-        if shared and not (depends and batch):
-            # One run, or the same in all lanes: Python floats beat NumPy's scalars several times.
-            values = x.tolist() if depends else [0.0] * len(x)
-            a = [values[i] for i in self.places] + given
-            try:
-                out = np.array(form(a))
-            except (ValueError, ZeroDivisionError, OverflowError):
-                out = self._carefully(what, a)
-            return out.reshape((count,) + (1,) * len(batch)) if batch else out
-        a = [x[i] for i in self.places] + given
-        if not shared:
-            batch = _broadcast(batch, a, self.trace)
-        out = np.empty((count, *batch))
-        with np.errstate(all="ignore"):  # a lane at a singular place is NaN, and harms no neighbour
-            self._form(what, "array")[0](a, out)
+        if type(keywords) is MappingProxyType:  # read-only: the same object means the same values
+            self._last = (keywords, given, shared, symbolic)
+        return given, shared, symbolic
+
+    def _kept(self, bound: _Bound, given: list[float], axes: int) -> Array:
+        """What the state does not change, with ``axes`` batch axes of length 1; read-only."""
+        kept = bound.kept
+        if kept is not None and kept[0] == given and kept[1].ndim == len(bound.shape) + axes:
+            return kept[1]
+        out = self._on_floats(bound, [0.0] * self.width, given)
+        out = out.reshape(bound.shape + (1,) * axes)
+        out.setflags(write=False)
+        bound.kept = (given, out)
         return out
 
-    def _carefully(self, what: str, a: Sequence[float]) -> Array:
-        """The float form where it raises: NumPy's answer, NaN or inf."""
-        trace = self.trace
-        given = dict(zip(trace.inputs, map(np.float64, a), strict=True))
-        with np.errstate(all="ignore"):
-            return np.array(
-                evaluate(trace.entries(what, self.width, self.places), given), dtype=np.float64
-            )
+    def _on_floats(self, bound: _Bound, x: list[float], given: list[float]) -> Array:
+        try:
+            out = np.array(bound.floats(x, given))
+        except (ValueError, ZeroDivisionError, OverflowError):
+            out = _carefully(bound, self._inputs(x, given))
+        return out if bound.flat else out.reshape(bound.shape)
 
-    def _on_nodes(self, what: str, a: Sequence[Any]) -> Any:
-        trace = self.trace
-        entries = trace.entries(what, self.width, self.places)
-        graph = next((v.graph for v in a if isinstance(v, Node)), None)
-        out = np.empty(len(entries), dtype=object)
+    def _inputs(self, x: Sequence[Any], given: Sequence[Any]) -> dict[str, Any]:
+        named = {name: x[i] for name, i in zip(self.positional, self.places, strict=True)}
+        return named | dict(zip(self.keywords, given, strict=True))
+
+    def _on_nodes(self, bound: _Bound, x: Sequence[Any], given: Sequence[Any]) -> Any:
+        values = self._inputs(x, given)
+        graph = next((v.graph for v in values.values() if isinstance(v, Node)), None)
+        out = np.empty(len(bound.entries), dtype=object)
         if graph is None:
-            out[:] = self._carefully(what, [as_float(v) for v in a]).tolist()
+            out[:] = _carefully(bound, values).tolist()
         else:
-            values = [v if isinstance(v, Node) else as_float(v) for v in a]
-            out[:] = substitute(entries, graph, dict(zip(trace.inputs, values, strict=True)))
-        return out
+            nodes = {k: v if isinstance(v, Node) else as_float(v) for k, v in values.items()}
+            out[:] = substitute(bound.entries, graph, nodes)
+        return out.reshape(bound.shape)
 
     def _opaque(self, x: Any, keywords: Mapping[str, Any]) -> Any:
         if x.dtype == object:
@@ -364,14 +405,23 @@ class ComponentFunction:
         return out.reshape(shape + batch)
 
 
-def _broadcast(batch: tuple[int, ...], a: Sequence[Any], trace: Trace) -> tuple[int, ...]:
+def _carefully(bound: _Bound, inputs: Mapping[str, Any]) -> Array:
+    """The float form where it raises: NumPy's answer, NaN or inf."""
+    values = {name: np.float64(value) for name, value in inputs.items()}
+    with np.errstate(all="ignore"):
+        return np.array(evaluate(bound.entries, values), dtype=np.float64)
+
+
+def _broadcast(
+    batch: tuple[int, ...], names: Sequence[str], given: Sequence[Any], label: str
+) -> tuple[int, ...]:
     try:
-        return np.broadcast_shapes(batch, *(np.shape(v) for v in a))
+        return np.broadcast_shapes(batch, *(np.shape(v) for v in given))
     except ValueError:
-        shapes = {n: np.shape(v) for n, v in zip(trace.inputs, a, strict=True) if np.ndim(v)}
+        shapes = {n: np.shape(v) for n, v in zip(names, given, strict=True) if np.ndim(v)}
         raise ShapeError(
             wording(
-                trace.label,
+                label,
                 got=f"batch shapes that do not fit together: {shapes}",
                 expected=f"scalars or arrays that broadcast to the batch shape {batch}",
                 do="give parameters and poses as scalars or with the state's batch shape",

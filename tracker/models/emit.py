@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import linecache
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,18 +39,22 @@ def _compiled(source: str, function: str, names: dict[str, Any], label: str) -> 
     return made
 
 
-def _unpacking(nodes: Sequence[Node], inputs: Sequence[str]) -> list[str]:
-    """Lines that name the inputs that are used; ``a`` is the sequence of all inputs."""
-    place = {name: i for i, name in enumerate(inputs)}
-    return [f"    v{n.index} = a[{place[n.value]}]" for n in nodes if n.op == "input"]
+def _unpacking(nodes: Sequence[Node], inputs: Mapping[str, str]) -> list[str]:
+    """Lines that fetch the inputs that are used."""
+    return [f"    v{n.index} = {inputs[n.value]}" for n in nodes if n.op == "input"]
 
 
-def array_form(roots: Sequence[Entry], inputs: Sequence[str], label: str) -> Callable[..., None]:
-    """A function ``f(a, o)`` that writes ``roots`` into ``o[0], o[1], ...``.
+def array_form(
+    roots: Sequence[Entry], inputs: Mapping[str, str], label: str
+) -> Callable[..., None]:
+    """A function ``f(x, k, o)`` that writes ``roots`` into ``o[0], o[1], ...``.
+
+    ``inputs`` says where each input is found: ``x[3]``, a component of the state, or ``k[0]``, a
+    keyword value.
 
     Shapes:
-        a: one float or array of lanes per input; o ``(len(roots), *batch)``, at least one batch
-        axis. Literal zeros and ones are written too, so ``o`` may be uninitialised.
+        x ``(n, *batch)``; k, floats or arrays of lanes; o ``(len(roots), *batch)``, at least one
+        batch axis. Literal zeros and ones are written too, so ``o`` may be uninitialised.
     """
     nodes = needed(roots)
     target = {r.index: k for k, r in reversed(list(enumerate(roots))) if isinstance(r, Node)}
@@ -75,14 +79,16 @@ def array_form(roots: Sequence[Entry], inputs: Sequence[str], label: str) -> Cal
             body.append(f"    o[{k}] = {_constant(r)}")
         elif target[r.index] != k or r.op in ("where", "input", "const"):
             body.append(f"    o[{k}] = v{r.index}")
-    source = "def form(a, o):\n" + "\n".join(body or ["    pass"]) + "\n"
+    source = "def form(x, k, o):\n" + "\n".join(body or ["    pass"]) + "\n"
     return _compiled(source, "form", _ARRAY_NAMES, label)
 
 
 def float_form(
-    roots: Sequence[Entry], inputs: Sequence[str], label: str
-) -> Callable[[Sequence[float]], tuple[float, ...]]:
-    """A function ``f(a)`` that gives ``roots`` as a tuple of floats; far faster than arrays of one.
+    roots: Sequence[Entry], inputs: Mapping[str, str], label: str
+) -> Callable[[Sequence[float], Sequence[float]], tuple[float, ...]]:
+    """A function ``f(x, k)`` that gives ``roots`` as a tuple of floats, far faster than on arrays.
+
+    ``inputs`` is that of `array_form`.
 
     Raises (when called):
         ValueError, ZeroDivisionError, OverflowError where NumPy would answer NaN or inf: the caller
@@ -117,7 +123,7 @@ def float_form(
                 text = f"_{n.op}({', '.join(v)})"
         body.append(f"    v{n.index} = {text}")
     results = [f"v{r.index}" if isinstance(r, Node) else _constant(r) for r in roots]
-    source = "def form(a):\n" + "\n".join([*body, f"    return ({', '.join(results)},)"]) + "\n"
+    source = "def form(x, k):\n" + "\n".join([*body, f"    return ({', '.join(results)},)"]) + "\n"
     return _compiled(source, "form", _FLOAT_NAMES, label)
 
 

@@ -20,6 +20,7 @@ Scalar = Any
 """A float, an array of lanes, or a graph node."""
 
 TAU = 2.0 * math.pi
+_ABOVE_MINUS_PI = math.nextafter(-math.pi, 0.0)
 
 
 def _define(op: str, scalar: Callable[..., Any], array: Callable[..., Any]) -> Callable[..., Any]:
@@ -175,4 +176,5 @@ def wrap(angle: Scalar) -> Scalar:
     >>> wrap(-math.pi) == math.pi, wrap(math.pi) == math.pi, round(wrap(7.0), 6)
     (True, True, 0.716815)
     """
-    return _minimum_of(angle + TAU * _floor_of(0.5 - angle / TAU), math.pi)
+    turned = angle + TAU * _floor_of(0.5 - angle / TAU)
+    return _maximum_of(_minimum_of(turned, math.pi), _ABOVE_MINUS_PI)

@@ -145,7 +145,7 @@ class Node:
             "math.* or float() was called on a symbol: import the function from tracker.models"
         )
 
-    __int__ = __index__ = __float__  # type: ignore[assignment]
+    __int__ = __index__ = __float__
 
     def __repr__(self) -> str:
         return f"<{self.op} #{self.index}>"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import attrs
@@ -45,9 +46,22 @@ class ComponentMotion:
     noise: Author
     space: Space
     input_space: Space = EMPTY_SPACE
-    parameters: Mapping[str, Any] = attrs.field(factory=dict, converter=checked_parameters)
+    parameters: MappingProxyType[str, Any] = attrs.field(
+        factory=dict, converter=checked_parameters
+    )
     _advance: ComponentFunction = attrs.field(init=False, repr=False, default=_function("advance"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
+    # With neither inputs nor time, keyword values change with dt alone: those of the last dt are
+    # kept, so that what follows from them (F, Q) is recognised and not computed again.
+    _steady: bool = attrs.field(init=False, repr=False)
+    _recent: dict[float, MappingProxyType[str, Any]] = attrs.field(
+        init=False, repr=False, factory=dict
+    )
+
+    @_steady.default
+    def _changes_with_dt_alone(self) -> bool:
+        timed = "t" in self._advance.keywords or "t" in self._noise.keywords
+        return not timed and not self.input_space.axes
 
     def __attrs_post_init__(self) -> None:
         known = {*RESERVED, *self.input_space.names, *self.parameters}
@@ -131,8 +145,15 @@ class ComponentMotion:
         return self._advance.why_opaque or self._noise.why_opaque
 
     # ---------------------------------------------------------------------- inside
-    def _keywords(self, dt: Any, u: ArrayLike | None, t: Any) -> Mapping[str, Any]:
-        out = {**self.parameters, "dt": dt, "t": 0.0 if t is None else t}
+    def _keywords(self, dt: Any, u: Any, t: Any) -> Mapping[str, Any]:
+        if self._steady and isinstance(dt, float):
+            found = self._recent.get(dt)
+            if found is None:
+                found = MappingProxyType(self.parameters | {"dt": float(dt), "t": 0.0})
+                self._recent.clear()
+                self._recent[dt] = found
+            return found
+        out: dict[str, Any] = {**self.parameters, "dt": dt, "t": 0.0 if t is None else t}
         names = self.input_space.names
         if not names:
             return out
@@ -141,7 +162,7 @@ class ComponentMotion:
             raise ShapeError(
                 wording(
                     f"argument 'u' of motion {self.name!r}",
-                    got=f"shape {np.shape(u)}",
+                    got=f"shape {np.shape(values)}",
                     expected=f"({len(names)}, *batch): {self.input_space}",
                     do="give one row per input component",
                 )

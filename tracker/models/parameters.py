@@ -13,6 +13,8 @@ from tracker.errors import DomainError, ShapeError, wording
 from tracker.models.graph import Node
 from tracker.types import Array, ArrayLike, Space, as_array
 
+_FLOAT = np.dtype(np.float64)
+
 
 def _read_only(values: dict[str, Any]) -> Mapping[str, Any]:
     return MappingProxyType(values)
@@ -26,7 +28,7 @@ def _reduced(view: Mapping[str, Any]) -> Any:
 copyreg.pickle(MappingProxyType, _reduced)
 
 
-def checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
+def checked_parameters(parameters: Mapping[str, Any]) -> MappingProxyType[str, Any]:
     """Parameters as floats, float64 arrays or graph nodes, refusing NaN and inf."""
     out: dict[str, Any] = {}
     for name, value in parameters.items():
@@ -38,7 +40,7 @@ def checked_parameters(parameters: Mapping[str, Any]) -> Mapping[str, Any]:
             raise DomainError(
                 wording(
                     f"parameter {name!r}",
-                    got=f"{value}",
+                    got=f"{value!r}",
                     expected="finite numbers",
                     do="give a number, or an array with the batch shape",
                 )
@@ -59,7 +61,7 @@ def positive(name: str, value: ArrayLike, *, unit: str = "", zero: bool = False)
         raise DomainError(
             wording(
                 f"parameter {name!r}",
-                got=f"{value}",
+                got=f"{array}",
                 expected=f"a {'non-negative' if zero else 'positive'} number"
                 + (f" [{unit}]" if unit else ""),
                 do="check sign and unit",
@@ -89,6 +91,8 @@ def one_of(name: str, value: object, choices: tuple[object, ...]) -> str:
 def shaped(x: ArrayLike, space: Space, name: str, owner: str) -> Any:
     """``x`` as an array whose leading axis has the size of ``space``; object arrays pass through."""
     array: Array = x if isinstance(x, np.ndarray) else as_array(x, name)
+    if array.dtype is _FLOAT and array.ndim and len(array) == len(space.axes):
+        return array
     if array.ndim == 0 or array.shape[0] != space.size:
         raise ShapeError(
             wording(
@@ -98,9 +102,7 @@ def shaped(x: ArrayLike, space: Space, name: str, owner: str) -> Any:
                 do="put the components on the leading axis",
             )
         )
-    if array.dtype != np.float64 and array.dtype != object:
-        return as_array(array, name)
-    return array
+    return array if array.dtype.hasobject else as_array(array, name)
 
 
 def lanes_of(parameters: Mapping[str, Any], index: Any) -> Mapping[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import attrs
@@ -60,7 +61,9 @@ class ComponentSensor:
     space: Space
     pose_space: Space = EMPTY_SPACE
     state: Space = PLANAR
-    parameters: Mapping[str, Any] = attrs.field(factory=dict, converter=checked_parameters)
+    parameters: MappingProxyType[str, Any] = attrs.field(
+        factory=dict, converter=checked_parameters
+    )
     derivative: Author | None = None
     _measure: ComponentFunction = attrs.field(init=False, repr=False, default=_function("measure"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
@@ -166,10 +169,10 @@ class ComponentSensor:
         return self._measure.why_opaque or self._noise.why_opaque
 
     # ---------------------------------------------------------------------- inside
-    def _keywords(self, pose: ArrayLike | None) -> Mapping[str, Any]:
-        names = self.pose_space.names
-        if not names:
+    def _keywords(self, pose: Any) -> Mapping[str, Any]:
+        if not self.pose_space.axes:
             return self.parameters
+        names = self.pose_space.names
         if pose is None or np.shape(pose)[:1] != (len(names),):
             raise ShapeError(
                 wording(
@@ -182,7 +185,7 @@ class ComponentSensor:
                 )
             )
         values = pose.tolist() if isinstance(pose, np.ndarray) and pose.ndim == 1 else pose
-        return {**self.parameters, **dict(zip(names, values, strict=True))}  # type: ignore[arg-type]
+        return {**self.parameters, **dict(zip(names, values, strict=True))}
 
     def _first(self, state: Any, keywords: Mapping[str, Any]) -> Any:
         if self.derivative is not None:
