@@ -244,6 +244,17 @@ def agree(actual: Any, expected: Any, tolerance: float, conclusion: str, scale: 
         raise AssertionError(f"{conclusion} (entry {at}: {got[at]:.9g} instead of {want[at]:.9g})")
 
 
+def over_lanes(value: Any, shape: tuple[int, ...], what: str) -> Array:
+    """``value`` over all lanes, the last axis of ``shape``; it may have length 1 where lanes share it."""
+    array = np.asarray(value, dtype=np.float64)
+    *own, count = shape
+    assert array.shape in {shape, (*own, 1)}, (
+        f"{what} answers with shape {array.shape} to {count} lanes: expected {shape}, or "
+        f"{(*own, 1)} where all lanes share the value"
+    )
+    return np.broadcast_to(array, shape)
+
+
 def symmetric(A: Any, conclusion: str, tolerance: float = 0.0) -> None:
     """Assert that matrices are finite and symmetric: exactly, unless a relative tolerance is given."""
     matrix = np.asarray(A)

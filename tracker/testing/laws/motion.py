@@ -17,6 +17,7 @@ from tracker.testing.law import (
     lacks,
     law,
     not_negative,
+    over_lanes,
     state_space,
     symmetric,
     untraceable,
@@ -107,7 +108,7 @@ def jacobian(motion: Any, case: Case) -> None:
     x, dt, u, t = _arguments(case, (3,))
     scale = typical(x, motion)
     found = first(lambda p: motion.f(p, dt, _repeated(u, p, 3), t), x, scale, _difference(motion))
-    exact = np.broadcast_to(motion.jacobian(x, dt, u, t), found[0].shape)
+    exact = over_lanes(motion.jacobian(x, dt, u, t), found[0].shape, "jacobian")
     against_differences("jacobian", exact, found, scale, 1e-6, motion.space.names)
 
 
@@ -117,14 +118,15 @@ def hessian(motion: Any, case: Case) -> None:
     x, dt, u, t = _arguments(case, (3,))
     scale = typical(x, motion)
     found = second(lambda p: motion.f(p, dt, _repeated(u, p, 3), t), x, scale, _difference(motion))
-    exact = np.broadcast_to(motion.hessian(x, dt, u, t), found[0].shape)
+    exact = over_lanes(motion.hessian(x, dt, u, t), found[0].shape, "hessian")
     against_differences("hessian", exact, found, scale, 1e-5, motion.space.names)
 
 
 @law("motion", name="Q is a covariance")
 def q_is_a_covariance(motion: Any, case: Case) -> None:
     """Q is symmetric positive semi-definite for every state and time step."""
-    Q = np.asarray(motion.Q(case.state((3,)), case.dt(zero=True)))
+    n = motion.space.size
+    Q = over_lanes(motion.Q(case.state((3,)), case.dt(zero=True)), (n, n, 3), "Q")
     symmetric(Q, "Q is not symmetric", 1e-12)
     for i in range(Q.shape[-1]):
         not_negative(Q[..., i], "Q is not positive semi-definite: a noise of negative variance")

@@ -16,6 +16,7 @@ from tracker.testing.law import (
     lacks,
     law,
     not_negative,
+    over_lanes,
     symmetric,
     untraceable,
 )
@@ -83,7 +84,7 @@ def jacobian(sensor: Any, case: Case) -> None:
     x, pose = case.state((3,)), case.pose((3,))
     scale = typical(x, sensor)
     found = first(lambda p: sensor.h(p, _tiled(pose, p)), x, scale, _difference(sensor))
-    exact = np.broadcast_to(sensor.jacobian(x, pose), found[0].shape)
+    exact = over_lanes(sensor.jacobian(x, pose), found[0].shape, "jacobian")
     against_differences("jacobian", exact, found, scale, 1e-6, sensor.state.names)
 
 
@@ -93,7 +94,7 @@ def hessian(sensor: Any, case: Case) -> None:
     x, pose = case.state((3,)), case.pose((3,))
     scale = typical(x, sensor)
     found = second(lambda p: sensor.h(p, _tiled(pose, p)), x, scale, _difference(sensor))
-    exact = np.broadcast_to(sensor.hessian(x, pose), found[0].shape)
+    exact = over_lanes(sensor.hessian(x, pose), found[0].shape, "hessian")
     against_differences("hessian", exact, found, scale, 1e-5, sensor.state.names)
 
 
@@ -173,9 +174,8 @@ def continuous(sensor: Any, case: Case) -> None:
 @law("sensor", name="R is a covariance")
 def r_is_a_covariance(sensor: Any, case: Case) -> None:
     """R is symmetric positive semi-definite for every state and pose."""
-    R = np.asarray(sensor.R(case.state((3,)), case.pose((3,))))
     m = sensor.space.size
-    assert R.shape[:2] == (m, m), f"R has shape {R.shape}, the measurement {m} components"
+    R = over_lanes(sensor.R(case.state((3,)), case.pose((3,))), (m, m, 3), "R")
     symmetric(R, "R is not symmetric", 1e-12)
     for i in range(R.shape[-1]):
         not_negative(R[..., i], "R is not positive semi-definite: a noise of negative variance")
