@@ -16,7 +16,14 @@ from typing import Any, Generic, TypeVar
 import attrs
 
 from tracker import registry
-from tracker.errors import CapabilityError, ConfigError, TrackerError, UnknownComponent, wording
+from tracker.errors import (
+    CapabilityError,
+    ConfigError,
+    PluginError,
+    TrackerError,
+    UnknownComponent,
+    wording,
+)
 from tracker.io import toml
 from tracker.io.detections import SENSOR_KINDS, DetectionLog, read_detection_log
 from tracker.pipeline import Pipeline
