@@ -75,3 +75,13 @@ def test_the_commands_know_the_template(fresh: Path) -> None:
     assert [one["origin"]["distribution"] for one in ours] == ["tracker-template"]
     assert "rad" in run(command, "show", "relative_bearing", cwd=fresh)
     assert "template" in run(command, "doctor", cwd=fresh)
+
+
+def test_listing_components_does_not_import_the_template_s_sensor(fresh: Path) -> None:
+    python = fresh / "environment" / BIN / f"python{SUFFIX}"
+    script = (
+        "import sys, tracker; tracker.default_registry().search();"
+        "print([name for name in sys.modules if name.startswith('tracker_template')])"
+    )
+    loaded = run(python, "-c", script, cwd=fresh).strip()
+    assert loaded == "['tracker_template', 'tracker_template._plugin']"

@@ -1,7 +1,7 @@
 """The three lines that hold the sensor to the laws of its kind."""
 
 from tracker.testing import parametrize_checks
-from tracker_template import relative_bearing
+from tracker_template.relative_bearing import relative_bearing
 
 
 @parametrize_checks([relative_bearing(sigma=0.02)])

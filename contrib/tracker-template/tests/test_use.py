@@ -18,6 +18,24 @@ def test_a_target_on_the_starboard_beam_is_at_a_quarter_turn():
     assert sensor.h(target, pose=east) == pytest.approx([0.0])
 
 
+def test_two_targets_are_told_apart():
+    motion = tk.motions.make("constant_velocity", density=1e-4)
+    pipeline = tk.Pipeline(
+        motion=motion,
+        sensors={"mast": tk.sensors.make("relative_bearing", sigma=0.02)},
+        filter=tk.filters.make("ekf1"),
+        gate=tk.gates.make("chi_square"),
+        associator=tk.associators.make("global_nearest_neighbour"),
+    )
+    state = np.array([[4000.0, -3000.0], [4000.0, 2000.0], [0.0, 0.0], [0.0, 0.0]])
+    belief = tk.Gaussian(state, np.diag([200.0, 200.0, 2.0, 2.0]) ** 2)
+    ship = [0.0, 0.0, 0.3]
+    seen = pipeline.sensors["mast"].h(state, pose=ship)[:, ::-1]
+    scan = tk.Scan(10.0, seen, pose=ship, sensor="mast")
+    _, result = pipeline.step(tk.Tracks(0.0, belief, ("a", "b")), scan)
+    assert result.detection.tolist() == [1, 0]
+
+
 def test_a_turning_observer_tracks_a_target():
     """Truth is drawn from the prior, so an honest filter has a mean NEES of n = 4."""
     t = np.arange(10.0, 601.0, 10.0)

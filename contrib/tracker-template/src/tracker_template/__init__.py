@@ -1,5 +1,4 @@
-"""Relative bearing: the direction to a target counted from the bow of the observer."""
+"""Relative bearing: the direction to a target counted from the bow of the observer.
 
-from tracker_template.relative_bearing import relative_bearing
-
-__all__ = ["relative_bearing"]
+Nothing is imported here: every `tracker list` imports this package, and must stay quick.
+"""
