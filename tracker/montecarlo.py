@@ -15,6 +15,7 @@ import attrs
 import numpy as np
 
 from tracker import estimation
+from tracker.compile import run as compiled
 from tracker.errors import ConfigError, DomainError, UnknownComponent, wording
 from tracker.estimation import Estimator
 from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
@@ -370,6 +371,15 @@ def _chunk(
     simulation = scenario.simulate(seed, runs, condition=condition)
     out = {}
     for name, built in estimators.items():
+        if not compiled.reason(built) and (
+            built.smoother is None or not compiled.why_not_backwards(built)
+        ):
+            sums = compiled.scored(
+                built, simulation.record, simulation.prior, simulation.start, simulation.truth
+            )
+            for stage, found in sums.items():
+                out[name, stage] = _from_sums(found, len(scenario.t))
+            continue
         history = estimation.filter(
             built, simulation.record, simulation.prior, start=simulation.start
         )
@@ -378,6 +388,29 @@ def _chunk(
             history = estimation.smoothed(built, history)
             out[name, "smoother"] = _reduced(history, simulation.truth, scenario, smooth=True)
     return out
+
+
+def _from_sums(sums: compiled.Sums, steps: int) -> _Reduced:
+    """What a compiled campaign added up, under the names of the scores."""
+    squared, score, *filtered = sums.totals
+    nothing = np.full((3, *squared.shape), np.nan)
+    nis, count, loglik = filtered or nothing
+    per_run = {
+        "rmse": np.sqrt(squared / steps),
+        "final_error": np.sqrt(sums.final),
+        "nees": score / steps,
+        "nis": nis,
+        "count": count,
+        "loglik": loglik,
+    }
+    names = (
+        ("squared_error", "nees", "nis", "count", "finite")
+        if filtered
+        else ("squared_error", "nees", "finite")
+    )
+    partial = dict(zip(names, sums.partial, strict=True))
+    missing = np.full_like(sums.partial[0], np.nan)
+    return _Reduced(per_run, {k: partial.get(k, missing) for k in PER_STEP})
 
 
 def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool) -> _Reduced:

@@ -1,0 +1,249 @@
+"""Estimators composed into step programs: motion, sensors, filter, smoother, scores in one graph.
+
+The composing runs the components' ordinary methods on graph nodes, so nothing here repeats an
+algorithm, and nothing in a plugin mentions compilation. Running the programs is `tracker.compile.run`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.algebra import mahalanobis, residual
+from tracker.compile.program import Program, Rate
+from tracker.errors import TraceError
+from tracker.models.functions import absolute, isnan, less, where
+from tracker.models.graph import Node
+from tracker.types import Gaussian
+
+INFINITY = float("inf")
+
+
+@attrs.frozen
+class Layout:
+    """Everything about a problem that is baked into its program; numbers are inputs, not layout."""
+
+    structure: tuple[Any, ...]
+    rates: tuple[tuple[str, Rate], ...]
+    inputs: int
+    keep: tuple[str, ...]
+    filter: Any = attrs.field(eq=False)
+    motion: Any = attrs.field(eq=False)
+    sensors: tuple[Any, ...] = attrs.field(eq=False)
+    smoother: Any = attrs.field(eq=False)
+
+    def rate(self, name: str) -> Rate:
+        """How often an input changes."""
+        return dict(self.rates)[name]
+
+
+def structure(component: Any) -> Any:
+    """What a component bakes into a program: everything but the values of its parameters."""
+    if component is None or not attrs.has(type(component)):
+        return component
+    fields = [f.name for f in attrs.fields(type(component)) if f.init and f.name != "parameters"]
+    values = tuple(getattr(component, name.lstrip("_")) for name in fields)
+    return (type(component), *values, *getattr(component, "parameters", ()))
+
+
+def triangle(n: int) -> int:
+    """Entries of an upper triangle."""
+    return n * (n + 1) // 2
+
+
+def pack(matrix: Any) -> list[Any]:
+    """Upper triangle, row by row."""
+    n = len(matrix)
+    return [matrix[i, j] for i in range(n) for j in range(i, n)]
+
+
+def unpack(entries: Sequence[Any], n: int) -> Any:
+    """The symmetric matrix with that upper triangle, as an object array."""
+    out = np.empty((n, n), dtype=object)
+    flat = iter(entries)
+    for i in range(n):
+        for j in range(i, n):
+            out[i, j] = out[j, i] = next(flat)
+    return out
+
+
+def vector(entries: Sequence[Any]) -> Any:
+    """Nodes as an object array."""
+    out = np.empty(len(entries), dtype=object)
+    out[:] = list(entries)
+    return out
+
+
+def why_not(filter_: Any, motion: Any, sensors: Sequence[Any]) -> str:
+    """In words, why these cannot be fused, or ''. Only a trial composition tells for sure."""
+    for role, model in (("motion", motion), *(("sensor", s) for s in sensors)):
+        name = getattr(model, "name", type(model).__name__)
+        reason = getattr(model, "why_opaque", "it is not written over components")
+        if reason:
+            return f"{role} {name!r} is opaque: {reason}"
+        if not hasattr(model, "with_parameters") or not hasattr(model, "parameters"):
+            return f"{role} {name!r} does not offer its parameters (with_parameters)"
+    if "opaque" in getattr(filter_, "tags", ()):
+        return f"filter {type(filter_).__name__} says that it is opaque"
+    return ""
+
+
+class _Composer:
+    """The inputs of a program, as what the components' methods take."""
+
+    def __init__(self, program: Program, layout: Layout) -> None:
+        self.program, self.layout = program, layout
+        n = layout.motion.space.size
+        self.n = n
+        dt = program.input("dt", 1, layout.rate("dt"))[0]
+        t = program.input("t", 1, layout.rate("dt"))[0]
+        self.dt, self.t = dt, t
+        u = program.input("u", layout.inputs, layout.rate("u")) if layout.inputs else None
+        self.u = None if u is None else vector(u)
+        self.motion = self._with_parameters("motion", layout.motion)
+
+    def _with_parameters(self, owner: str, model: Any) -> Any:
+        names = list(model.parameters)
+        nodes = {
+            name: self.program.input(f"{owner}.{name}", 1, self.layout.rate(f"{owner}.{name}"))[0]
+            for name in names
+        }
+        return model.with_parameters(**nodes) if nodes else model
+
+    def sensor(self, i: int) -> tuple[Any, Any]:
+        """Sensor i, and its pose."""
+        sensor = self._with_parameters(f"sensor{i}", self.layout.sensors[i])
+        size = sensor.pose_space.size
+        if not size:
+            return sensor, None
+        pose = self.program.input(f"pose{i}", size, self.layout.rate(f"pose{i}"))
+        return sensor, vector(pose)
+
+
+def forward(layout: Layout) -> Program:
+    """Predict and update, with the histories or scores that ``layout.keep`` names.
+
+    Keep: "predicted", "filtered", "innovation" (histories); "scores" (against the input "truth").
+    """
+    count = len(layout.sensors)
+    program = Program(variants=count)
+    if count > 1:
+        program.input("variant", 1, Rate.STEP)
+    c = _Composer(program, layout)
+    n = c.n
+    state = Gaussian.trusted(
+        vector(program.state("x", n)), unpack(program.state("P", triangle(n)), n)
+    )
+    most = max(s.space.size for s in layout.sensors)
+    z = program.input("z", most, Rate.BOTH)
+    scored = "scores" in layout.keep
+    truth = vector(program.input("truth", n, Rate.BOTH)) if scored else None
+    counted = program.input("counted", 1, Rate.LANE)[0] if scored else 1.0
+    predicted = layout.filter.predict(state, c.motion, c.dt, c.u, c.t)
+    for i in range(count):
+        sensor, pose = c.sensor(i)
+        m = sensor.space.size
+        updated, innovation = layout.filter.update(predicted, sensor, vector(z[:m]), pose)
+        _symbolic(layout.filter, updated.mean)
+        program.set("x", list(updated.mean), i)
+        program.set("P", pack(updated.cov), i)
+        if "predicted" in layout.keep:
+            program.history("predicted.x", list(predicted.mean), i)
+            program.history("predicted.P", pack(predicted.cov), i)
+        if "filtered" in layout.keep:
+            program.history("filtered.x", list(updated.mean), i)
+            program.history("filtered.P", pack(updated.cov), i)
+        if "innovation" in layout.keep:
+            pad = [float("nan")] * (most - m)
+            program.history("residual", [*innovation.residual, *pad], i)
+            full = np.zeros((most, most), dtype=object)
+            full[:m, :m] = innovation.S
+            program.history("S", pack(full), i)
+            program.history("score", [innovation.nis, innovation.loglik, innovation.count], i)
+        if truth is not None:
+            more = [innovation.nis, innovation.count, innovation.loglik]
+            scores(program, i, layout.motion, updated, truth, counted, more)
+    return program
+
+
+def backward(layout: Layout) -> Program:
+    """The smoother's recursion over stored filtered and predicted moments.
+
+    The moments predicted at step k + 1 are carried as a state; before the last step they equal the
+    carried smoothed ones, so that its smoothed moments are the filtered ones.
+    """
+    program = Program(backward=True)
+    c = _Composer(program, layout)
+    n, k = c.n, triangle(c.n)
+
+    def gaussian(kind: Any, name: str) -> Gaussian:
+        if kind == "state":
+            x, P = program.state(f"{name}.x", n), program.state(f"{name}.P", k)
+        else:
+            x, P = (
+                program.input(f"{name}.x", n, Rate.BOTH),
+                program.input(f"{name}.P", k, Rate.BOTH),
+            )
+        return Gaussian.trusted(vector(x), unpack(P, n))
+
+    smoothed, ahead = gaussian("state", "smoothed"), gaussian("state", "ahead")
+    filtered, predicted = gaussian("input", "filtered"), gaussian("input", "predicted")
+    carried = program.state("step", 1 + (layout.inputs or 0))
+    u = vector(carried[1:]) if layout.inputs else None
+    out = layout.smoother.step(filtered, ahead, smoothed, c.motion, carried[0], u, c.t)
+    _symbolic(layout.smoother, out.mean)
+    program.set("smoothed.x", list(out.mean))
+    program.set("smoothed.P", pack(out.cov))
+    program.set("ahead.x", list(predicted.mean))
+    program.set("ahead.P", pack(predicted.cov))
+    program.set("step", [c.dt, *([] if c.u is None else c.u)])
+    if "smoothed" in layout.keep:
+        program.history("out.x", list(out.mean))
+        program.history("out.P", pack(out.cov))
+    if "scores" in layout.keep:
+        truth = vector(program.input("truth", n, Rate.BOTH))
+        counted = program.input("counted", 1, Rate.LANE)[0]
+        scores(program, 0, layout.motion, out, truth, counted, [])
+    return program
+
+
+def scores(
+    program: Program,
+    variant: int,
+    motion: Any,
+    estimate: Gaussian,
+    truth: Any,
+    counted: Any,
+    more: Sequence[Any],
+) -> None:
+    """Squared position error, NEES and more, summed over time per lane and over lanes per step.
+
+    A lane that is not finite is left out of the sums over lanes, not out of its own; so is one that
+    only fills up a group (``counted`` is 0 there).
+    """
+    flags = motion.space.circular
+    errors = residual(estimate.mean, truth, flags if any(flags) else False)
+    squared: Any = 0.0
+    for i in motion.space.position:
+        squared = squared + errors[i] * errors[i]
+    nees = mahalanobis(errors, estimate.cov)
+    program.total("totals", [squared, nees, *more], variant)
+    if "final" not in program.states:
+        program.state("final", 1)
+    # Forwards the last step is the last computed; backwards it is the first, and is kept.
+    final = program.states["final"][0]
+    program.set(
+        "final", [where(isnan(final), squared, final) if program.backward else squared], variant
+    )
+    finite = less(absolute(squared + nees), INFINITY)
+    values = [where(finite, e * counted, 0.0) for e in (squared, nees, *more[:2])]
+    program.curve("curves", [*values, where(finite, counted, 0.0)], variant)
+
+
+def _symbolic(owner: Any, entries: Any) -> None:
+    if not all(isinstance(e, (Node, float, int)) for e in entries):
+        kinds: Mapping[str, None] = dict.fromkeys(type(e).__name__ for e in entries)
+        raise TraceError(f"{type(owner).__name__} computed {', '.join(kinds)} from graph nodes")

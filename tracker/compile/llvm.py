@@ -1,0 +1,353 @@
+"""Step programs as LLVM text with explicit vectors of eight lanes, and as machine code through llvmlite.
+
+No auto-vectoriser and no optimiser passes: every operation on lanes is written as a vector
+operation, one instruction a node, in three nested blocks (groups of lanes, steps, straight line).
+What is computed, and why, is decided elsewhere. ctypes releases the interpreter's lock during a
+call, so threads over groups use several cores.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from tracker.compile import objects
+from tracker.compile.program import BLOCK, WIDTH, Program, Rate
+from tracker.errors import ShapeError, wording
+from tracker.models.graph import Node, needed
+from tracker.types import Array
+
+# Fused multiply-add and shared reciprocals; never nnan or ninf: a diverged lane must stay NaN.
+FLAGS = "contract nsz arcp"
+_BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul"}
+_INTRINSIC = {"sqrt": "sqrt", "floor": "floor", "abs": "fabs"}
+_BOOLEAN = frozenset({"less", "isnan"})
+_V, _I, _M = f"<{WIDTH} x double>", f"<{WIDTH} x i64>", f"<{WIDTH} x i1>"
+
+
+def _literal(value: float) -> str:
+    return f"0x{struct.unpack('<Q', struct.pack('<d', value))[0]:016X}"
+
+
+def _repeated(text: str, kind: str) -> str:
+    return "<" + ", ".join(f"{kind} {text}" for _ in range(WIDTH)) + ">"
+
+
+class _Writer:
+    """Lines of one function, and the names of the values that nodes have become."""
+
+    def __init__(self, rates: Mapping[int, Rate], program: Program) -> None:
+        self.rates, self.program = rates, program
+        self.lines: list[str] = []
+        self.names: dict[int, str] = {}
+        self.splats: dict[int, str] = {}
+        self.count = 0
+
+    def emit(self, text: str, name: str | None = None) -> str:
+        if name is None:
+            self.count += 1
+            name = f"%v{self.count}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def label(self, *lines: str) -> None:
+        self.lines += lines
+
+    def per_lane(self, node: Node) -> bool:
+        return node.op != "const" and bool(self.rates[node.index] & Rate.LANE)
+
+    def operand(self, node: Node, vector: bool) -> str:
+        if node.op == "const":
+            text = _literal(node.value)
+            return _repeated(text, "double") if vector else text
+        if vector and not self.per_lane(node):
+            return self.splats[node.index]
+        return self.names[node.index]
+
+    def splat(self, node: Node) -> None:
+        kind, vector = ("i1", _M) if node.op in _BOOLEAN else ("double", _V)
+        one = self.emit(f"insertelement {vector} poison, {kind} {self.names[node.index]}, i32 0")
+        mask = f"<{WIDTH} x i32> zeroinitializer"
+        self.splats[node.index] = self.emit(
+            f"shufflevector {vector} {one}, {vector} poison, {mask}"
+        )
+
+    def operation(self, node: Node) -> None:
+        vector = self.per_lane(node)
+        t, i, b = (_V, _I, _M) if vector else ("double", "i64", "i1")
+        a = [self.operand(x, vector) for x in node.args]
+
+        def const(value: Any, kind: str = "i64") -> str:
+            return _repeated(str(value), kind) if vector else str(value)
+
+        match node.op:
+            case "add" | "sub" | "mul":
+                r = self.emit(f"{_BINARY[node.op]} {FLAGS} {t} {a[0]}, {a[1]}")
+            case "neg":
+                r = self.emit(f"fneg {FLAGS} {t} {a[0]}")
+            case "recip":
+                r = self.emit(f"fdiv {FLAGS} {t} {const('1.0', 'double')}, {a[0]}")
+            case "sqrt" | "floor" | "abs":
+                suffix = f"v{WIDTH}f64" if vector else "f64"
+                r = self.emit(f"call {FLAGS} {t} @llvm.{_INTRINSIC[node.op]}.{suffix}({t} {a[0]})")
+            case "less":
+                r = self.emit(f"fcmp olt {t} {a[0]}, {a[1]}")
+            case "isnan":
+                r = self.emit(f"fcmp uno {t} {a[0]}, {a[0]}")
+            case "where":
+                r = self.emit(f"select {b} {a[0]}, {t} {a[1]}, {t} {a[2]}")
+            case "min" | "max":
+                # NumPy's rule: a NaN in either operand survives.
+                order = self.emit(f"fcmp {'olt' if node.op == 'min' else 'ogt'} {t} {a[0]}, {a[1]}")
+                chosen = self.emit(f"select {b} {order}, {t} {a[0]}, {t} {a[1]}")
+                unordered = self.emit(f"fcmp uno {t} {a[0]}, {a[0]}")
+                r = self.emit(f"select {b} {unordered}, {t} {a[0]}, {t} {chosen}")
+            case "pow2":
+                k = self.emit(f"fptosi {t} {a[0]} to {i}")
+                k = self.emit(f"add {i} {k}, {const(1023)}")
+                k = self.emit(f"shl {i} {k}, {const(52)}")
+                r = self.emit(f"bitcast {i} {k} to {t}")
+            case "exponent":
+                k = self.emit(f"bitcast {t} {a[0]} to {i}")
+                k = self.emit(f"lshr {i} {k}, {const(52)}")
+                k = self.emit(f"and {i} {k}, {const(0x7FF)}")
+                k = self.emit(f"sub {i} {k}, {const(1023)}")
+                r = self.emit(f"sitofp {i} {k} to {t}")
+            case "mantissa":
+                k = self.emit(f"bitcast {t} {a[0]} to {i}")
+                k = self.emit(f"and {i} {k}, {const(0x000FFFFFFFFFFFFF)}")
+                k = self.emit(f"or {i} {k}, {const(0x3FF0000000000000)}")
+                r = self.emit(f"bitcast {i} {k} to {t}")
+            case _:
+                raise NotImplementedError(node.op)  # pragma: no cover - every primitive is above
+        self.names[node.index] = r
+
+    def address(self, array: str, index: str) -> str:
+        return self.emit(f"getelementptr inbounds double, ptr %array.{array}, i64 {index}")
+
+    def load(self, array: str, index: str, vector: bool) -> str:
+        kind = _V if vector else "double"
+        return self.emit(f"load {kind}, ptr {self.address(array, index)}, align 8")
+
+    def store(self, value: str, array: str, index: str) -> None:
+        self.lines.append(f"  store {_V} {value}, ptr {self.address(array, index)}, align 8")
+
+    def offset(self, base: str, i: int) -> str:
+        return self.emit(f"add i64 {base}, {i}") if i else base
+
+    def section(
+        self, nodes: Iterable[Node], base: Mapping[str, str], splat: frozenset[int]
+    ) -> None:
+        """Emit nodes in order; ``base`` is where each input's values of this place begin."""
+        for node in nodes:
+            if node.op == "input":
+                if node.index in self.names:
+                    continue
+                name, i = self.program.place[node.value]
+                vector = self.per_lane(node)
+                at = self.offset(base[name], i * WIDTH if vector else i)
+                self.names[node.index] = self.load(name, at, vector)
+            else:
+                self.operation(node)
+            if node.index in splat:
+                self.splat(node)
+
+
+def emit(program: Program) -> str:
+    """LLVM text of ``void run(i64 first, i64 last, i64 T, arrays...)`` over groups first..last-1."""
+    program.finished()
+    low = program.lowered()
+    variants = range(low.variants)
+    needs = [needed(low.roots(v)) for v in variants]
+    order = sorted({n.index: n for nodes in needs for n in nodes}.values(), key=lambda n: n.index)
+    rates = low.rates(order)
+    w = _Writer(rates, low)
+    users = [{n.index for n in nodes} for nodes in needs]
+
+    def shared(node: Node) -> bool:
+        """Computed before the branch: whatever is not per step, or serves several variants."""
+        return low.variants == 1 or sum(node.index in own for own in users) > 1
+
+    computed = [n for n in order if n.op != "const"]
+    roots = [n for v in variants for n in low.roots(v)]
+    splat = frozenset(
+        {
+            a.index
+            for n in computed
+            if w.per_lane(n)
+            for a in n.args
+            if a.op != "const" and not w.per_lane(a)
+        }
+        | {n.index for n in roots if n.op != "const" and not w.per_lane(n)}
+    )
+    arguments = list(low.shapes(1, 1))
+    counts = {name: count for name, (count, _) in low.inputs.items()}
+
+    # ---- once per call
+    once = [n for n in computed if rates[n.index] == Rate.CALL]
+    w.section(once, dict.fromkeys(counts, "0"), splat)
+    w.label(
+        "  br label %groups",
+        "groups:",
+        "  %g = phi i64 [%first, %entry], [%g.next, %group.end]",
+        "  %more = icmp slt i64 %g, %last",
+        "  br i1 %more, label %group, label %exit",
+        "group:",
+    )
+    # ---- once per group of lanes
+    per_group = {
+        name: w.emit(f"mul i64 %g, {count * WIDTH}")
+        for name, count in counts.items()
+        if low.inputs[name][1] == Rate.LANE
+    }
+    w.section([n for n in computed if rates[n.index] == Rate.LANE], per_group, splat)
+    state_base, first = {}, {}
+    for name, olds in low.states.items():
+        state_base[name] = w.emit(f"mul i64 %g, {len(olds) * WIDTH}")
+        first[name] = [
+            w.load(name, w.offset(state_base[name], i * WIDTH), True) for i in range(len(olds))
+        ]
+    w.emit("mul i64 %g, %T", "%gT")
+    w.emit(f"udiv i64 %g, {BLOCK}", "%block")
+    w.emit("mul i64 %block, %T", "%bT")
+    w.emit("sub i64 %T, 1", "%t.last")
+    w.label("  br label %steps", "steps:", "  %k = phi i64 [0, %group], [%k.next, %step.end]")
+    holes = []
+    for name, olds in low.states.items():
+        for i, old in enumerate(olds):
+            holes.append((len(w.lines), name, i))
+            w.label("")
+            w.names[old.index] = f"%s.{name}.{i}"
+    # ---- once per step
+    w.emit("sub i64 %t.last, %k", "%t.back")
+    w.emit("add i64 %t.back, 0" if low.backward else "add i64 %k, 0", "%t")
+    w.emit("add i64 %gT, %t", "%gt")
+    w.emit("add i64 %bT, %t", "%bt")
+    per_step = {}
+    for name, count in counts.items():
+        rate = low.inputs[name][1]
+        if rate == Rate.BOTH:
+            per_step[name] = w.emit(f"mul i64 %gt, {count * WIDTH}")
+        elif rate == Rate.STEP:
+            per_step[name] = w.emit(f"mul i64 %t, {count}")
+    now = [n for n in computed if rates[n.index] & Rate.STEP]
+    common = [n for n in now if shared(n)]
+    scalars = [n for n in common if rates[n.index] == Rate.STEP]
+    w.section(scalars, per_step, splat)
+    w.section([n for n in common if rates[n.index] == Rate.BOTH], per_step, splat)
+
+    def outputs(variant: int) -> list[str]:
+        for name, nodes in low.histories[variant].items():
+            base = w.emit(f"mul i64 %gt, {len(nodes) * WIDTH}")
+            for i, node in enumerate(nodes):
+                w.store(w.operand(node, True), name, w.offset(base, i * WIDTH))
+        for name, nodes in low.curves[variant].items():
+            base = w.emit(f"mul i64 %bt, {len(nodes) * WIDTH}")
+            for i, node in enumerate(nodes):
+                at = w.offset(base, i * WIDTH)
+                value = w.emit(f"fadd {_V} {w.load(name, at, True)}, {w.operand(node, True)}")
+                w.store(value, name, at)
+        return [w.operand(n, True) for name in low.states for n in low.next[variant][name]]
+
+    if low.variants == 1:
+        after = outputs(0)
+        w.label("  br label %step.end", "step.end:")
+    else:
+        index = w.load("variant", "%t", False)
+        which = w.emit(f"fptosi double {index} to i64")
+        cases = " ".join(f"i64 {v}, label %variant.{v}" for v in variants)
+        w.label(f"  switch i64 {which}, label %variant.0 [ {cases} ]")
+        ends = []
+        for v in variants:
+            w.label(f"variant.{v}:")
+            own = [n for n in now if not shared(n) and n.index in users[v]]
+            w.section([n for n in own if rates[n.index] == Rate.STEP], per_step, splat)
+            w.section([n for n in own if rates[n.index] == Rate.BOTH], per_step, splat)
+            ends.append(outputs(v))
+            w.label("  br label %step.end")
+        w.label("step.end:")
+        after = [
+            w.emit(
+                f"phi {_V} " + ", ".join(f"[{end[i]}, %variant.{v}]" for v, end in enumerate(ends))
+            )
+            for i in range(len(ends[0]))
+        ]
+    flat = iter(after)
+    last = {name: [next(flat) for _ in olds] for name, olds in low.states.items()}
+    for line, name, i in holes:
+        w.lines[line] = (
+            f"  %s.{name}.{i} = phi {_V} [{first[name][i]}, %group], [{last[name][i]}, %step.end]"
+        )
+    w.label(
+        "  %k.next = add i64 %k, 1",
+        "  %done = icmp sge i64 %k.next, %T",
+        "  br i1 %done, label %group.end, label %steps",
+        "group.end:",
+    )
+    for name in low.states:
+        for i, value in enumerate(last[name]):
+            w.store(value, name, w.offset(state_base[name], i * WIDTH))
+    w.label("  %g.next = add i64 %g, 1", "  br label %groups", "exit:", "  ret void", "}")
+    declared = [
+        f"declare {t} @llvm.{f}.{s}({t})"
+        for f in _INTRINSIC.values()
+        for t, s in ((_V, f"v{WIDTH}f64"), ("double", "f64"))
+    ]
+    signature = ", ".join([
+        "i64 %first", "i64 %last", "i64 %T", *(f"ptr noalias %array.{a}" for a in arguments)
+    ])  # fmt: skip
+    head = [*declared, f"define void @run({signature}) {{", "entry:"]
+    return "\n".join([*head, *w.lines]) + "\n"
+
+
+class Kernel:
+    """A compiled program. ``bind`` checks arrays once and returns the call.
+
+    Raises:
+        PluginError: if llvmlite is not installed.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self.text = emit(program)
+        self._machine = objects.compiled(self.text)
+        self._arguments = list(program.shapes(1, 1))
+        prototype = ctypes.CFUNCTYPE(
+            None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * len(self._arguments)
+        )
+        self._call = prototype(self._machine.address)
+
+    def bind(
+        self, arrays: Mapping[str, Array], groups: int, steps: int
+    ) -> Callable[[int, int], None]:
+        """A call ``run(first, last)`` over groups of these arrays.
+
+        Raises:
+            ShapeError: on an array whose shape, type or layout is not what the code will address.
+        """
+        for name, shape in self.program.shapes(groups, steps).items():
+            array = arrays.get(name)
+            good = array is not None and array.shape == shape and array.dtype == np.float64
+            if array is None or not good or not array.flags.c_contiguous:
+                got = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
+                raise ShapeError(
+                    wording(
+                        f"kernel array {name!r}",
+                        got=got,
+                        expected=f"contiguous float64 of shape {shape}",
+                        do="allocate it as Program.shapes says",
+                    )
+                )
+        return functools.partial(self._run, [arrays[a] for a in self._arguments], groups, steps)
+
+    def _run(self, owners: list[Array], groups: int, steps: int, first: int, last: int) -> None:
+        # The owners are held by the partial: the code below has bare pointers.
+        if not 0 <= first <= last <= groups:
+            raise ShapeError(f"groups {first} to {last} are outside 0 to {groups}")
+        if steps and first < last:
+            self._call(first, last, steps, *(a.ctypes.data for a in owners))

@@ -1,0 +1,319 @@
+"""Records, histories and scores through compiled step programs: arrays in, arrays out.
+
+What a program computes is composed in `tracker.compile.fuse`. Whether to use one is decided here,
+from TRACKER_COMPILE (``on``: when possible, the default; ``off``; ``require``) and from what the
+components allow; the answer is always one that can be said in words.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.compile import objects
+from tracker.compile.fuse import Layout, backward, forward, pack, structure, triangle, why_not
+from tracker.compile.llvm import Kernel
+from tracker.compile.program import WIDTH, Program, Rate, allocate, tile, untile
+from tracker.errors import CapabilityError, ConfigError, TraceError
+from tracker.types import Array, Gaussian, History, Innovation, Record, Trajectory
+
+MODES = ("on", "off", "require")
+
+
+def mode() -> str:
+    """TRACKER_COMPILE.
+
+    Raises:
+        ConfigError: if it is none of the three.
+    """
+    value = os.environ.get("TRACKER_COMPILE", "on")
+    if value not in MODES:
+        raise ConfigError(
+            f"environment variable TRACKER_COMPILE: got {value!r}; expected one of {', '.join(MODES)}. "
+            "Do this: unset it, or set one of these."
+        )
+    return value
+
+
+def reason(estimator: Any) -> str:
+    """Why an estimator runs on arrays, or '' if it is compiled.
+
+    Raises:
+        CapabilityError: if TRACKER_COMPILE=require and it cannot be.
+    """
+    wanted = mode()
+    if wanted == "off":
+        return "TRACKER_COMPILE=off"
+    if not objects.available():
+        why = "llvmlite is not installed (pip install 'tracker-lab[fast]')"
+    else:
+        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _trial(
+            _layout(estimator, {}, 0, ("filtered",))
+        )
+    if why and wanted == "require":
+        raise CapabilityError(f"TRACKER_COMPILE=require, but this cannot be compiled: {why}.")
+    return why
+
+
+@functools.lru_cache(maxsize=128)
+def _trial(layout: Layout) -> str:
+    """Whether the filter's own methods run on graph nodes."""
+    try:
+        forward(layout)
+    except (TraceError, TypeError, AttributeError, ValueError, IndexError) as error:
+        return f"filter {type(layout.filter).__name__} cannot be traced: {error}"
+    return ""
+
+
+def why_not_backwards(estimator: Any) -> str:
+    """Why an estimator's smoother runs on arrays, or ''."""
+    why = reason(estimator)
+    if not why and not hasattr(estimator.smoother, "step"):
+        why = f"smoother {type(estimator.smoother).__name__} has no step over components"
+    return why or _trial_backwards(_layout(estimator, {}, 0, ("smoothed",)))
+
+
+@functools.lru_cache(maxsize=128)
+def _trial_backwards(layout: Layout) -> str:
+    try:
+        backward(layout)
+    except (TraceError, TypeError, AttributeError, ValueError, IndexError) as error:
+        return f"smoother {type(layout.smoother).__name__} cannot be traced: {error}"
+    return ""
+
+
+@functools.lru_cache(maxsize=64)
+def kernel(layout: Layout, direction: str) -> Kernel:
+    """The compiled program of a layout; made once per process, its object once per machine."""
+    return Kernel(forward(layout) if direction == "forward" else backward(layout))
+
+
+# ------------------------------------------------------------------------------------ layout
+def _layout(
+    estimator: Any, rates: Mapping[str, Rate], inputs: int, keep: tuple[str, ...]
+) -> Layout:
+    given = {"dt": Rate.STEP, "u": Rate.STEP}
+    owners = [("motion", estimator.motion)]
+    for i, sensor in enumerate(estimator.sensors):
+        owners.append((f"sensor{i}", sensor))
+        given[f"pose{i}"] = Rate.STEP
+    for owner, model in owners:
+        for name, value in model.parameters.items():
+            given[f"{owner}.{name}"] = Rate.LANE if np.ndim(value) else Rate.CALL
+    given |= rates
+    whole = (estimator.filter, estimator.smoother, estimator.motion, *estimator.sensors)
+    return Layout(
+        structure=tuple(structure(c) for c in whole),
+        rates=tuple(sorted(given.items())),
+        inputs=inputs,
+        keep=keep,
+        filter=estimator.filter,
+        motion=estimator.motion,
+        sensors=estimator.sensors,
+        smoother=estimator.smoother,
+    )
+
+
+def _flat(values: Any, lead: int, batch: tuple[int, ...]) -> Array:
+    """An array over lanes: the batch axes, broadcast and made one."""
+    array = np.asarray(values, dtype=np.float64)
+    full = np.broadcast_to(array, array.shape[:lead] + batch)
+    return full.reshape(*array.shape[:lead], -1)
+
+
+@attrs.frozen(eq=False)
+class _Problem:
+    """A record's times, inputs, poses and the models' parameters, as a program takes them."""
+
+    estimator: Any
+    record: Record
+    start: float | None
+    lanes: int
+    groups: int
+
+    @classmethod
+    def of(cls, estimator: Any, record: Record, start: float | None) -> _Problem:
+        lanes = int(np.prod(record.batch, dtype=np.intp))
+        return cls(estimator, record, start, lanes, -(-lanes // WIDTH))
+
+    def layout(self, keep: tuple[str, ...]) -> Layout:
+        record, rates = self.record, {}
+        if record.t.ndim > 1:
+            rates["dt"] = Rate.BOTH
+        if record.u is not None and record.u.ndim > 2:
+            rates["u"] = Rate.BOTH
+        if record.pose is not None and record.pose.ndim > 2:
+            rates |= {f"pose{i}": Rate.BOTH for i in range(len(self.estimator.sensors))}
+        inputs = 0 if record.u is None else record.u.shape[1]
+        return _layout(self.estimator, rates, inputs, keep)
+
+    def arrays(self, program: Program) -> dict[str, Array]:
+        """All arrays of a program, with everything filled in but states and measurements."""
+        steps = len(self.record)
+        out = {k: allocate(s) for k, s in program.shapes(self.groups, steps).items()}
+        t = self.record.t
+        first = t[:1] if self.start is None else np.full_like(t[:1], self.start)
+        before = np.concatenate([first, t[:-1]])
+        self._put(program, out, "dt", (t - before)[:, None], 2)
+        self._put(program, out, "t", before[:, None], 2)
+        if self.record.u is not None:
+            self._put(program, out, "u", self.record.u, 2)
+        owners = [("motion", self.estimator.motion)]
+        for i, sensor in enumerate(self.estimator.sensors):
+            owners.append((f"sensor{i}", sensor))
+            if f"pose{i}" in out and self.record.pose is not None:
+                size = sensor.pose_space.size
+                self._put(program, out, f"pose{i}", self.record.pose[:, :size], 2)
+        for owner, model in owners:
+            for name, value in model.parameters.items():
+                if f"{owner}.{name}" in out:
+                    self._put(program, out, f"{owner}.{name}", np.asarray(value)[None], 1)
+        if "variant" in out and self.record.sensor is not None:
+            out["variant"][:, 0] = self.record.sensor
+        if "counted" in out:
+            out["counted"].reshape(-1)[: self.lanes] = 1.0
+        return out
+
+    def _put(
+        self, program: Program, out: dict[str, Array], name: str, values: Any, lead: int
+    ) -> None:
+        rate = program.inputs[name][1]
+        if rate & Rate.LANE:
+            out[name][:] = tile(_flat(values, lead, self.record.batch))
+        else:
+            out[name][:] = np.asarray(values).reshape(out[name].shape)
+
+    def lanes_of(self, array: Array) -> Array:
+        """Kernel layout ``(groups, [T,] count, WIDTH)`` as ``([T,] count, *batch)``."""
+        flat = untile(array, self.lanes)
+        return flat.reshape(*flat.shape[:-1], *self.record.batch)
+
+    def matrices(self, array: Array) -> Array:
+        """Upper triangles in kernel layout as ``(T, n, n, *batch)``."""
+        count = array.shape[-2]
+        n = int((np.sqrt(8 * count + 1) - 1) // 2)
+        place = np.zeros((n, n), dtype=np.intp)
+        upper = np.triu_indices(n)
+        place[upper] = place.T[upper] = np.arange(triangle(n))
+        return self.lanes_of(array)[:, place]
+
+
+def _prior(problem: _Problem, prior: Gaussian, arrays: dict[str, Array]) -> None:
+    batch = problem.record.batch
+    arrays["x"][:] = tile(_flat(prior.mean, 1, batch))
+    arrays["P"][:] = tile(np.stack([_flat(e, 0, batch) for e in pack(prior.cov)]))
+
+
+# ----------------------------------------------------------------------------- what is offered
+def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | None) -> History:
+    """The history of a record, by the compiled forward program."""
+    problem = _Problem.of(estimator, record, start)
+    made = kernel(problem.layout(("predicted", "filtered", "innovation")), "forward")
+    arrays = problem.arrays(made.program)
+    _prior(problem, prior, arrays)
+    arrays["z"][:] = tile(_flat(record.z, 2, record.batch)[:, : arrays["z"].shape[2]])
+    made.bind(arrays, problem.groups, len(record))(0, problem.groups)
+    score = problem.lanes_of(arrays["score"])
+    innovation = Innovation(
+        problem.lanes_of(arrays["residual"]),
+        problem.matrices(arrays["S"]),
+        score[:, 0],
+        score[:, 1],
+        score[:, 2],
+        np.isfinite(score[:, 0]),
+    )
+
+    def trajectory(name: str) -> Trajectory:
+        return Trajectory(
+            problem.lanes_of(arrays[f"{name}.x"]), problem.matrices(arrays[f"{name}.P"])
+        )
+
+    return History(
+        record.t, trajectory("predicted"), trajectory("filtered"), innovation, u=record.u
+    )
+
+
+def _begin_backwards(arrays: dict[str, Array], n: int) -> None:
+    """Carried moments that make the last smoothed moments the filtered ones."""
+    unit = np.array(pack(np.eye(n)))[:, None]
+    for name in ("smoothed", "ahead"):
+        arrays[f"{name}.x"][:] = 0.0
+        arrays[f"{name}.P"][:] = unit
+    if "final" in arrays:
+        arrays["final"][:] = np.nan
+
+
+def smoothed(estimator: Any, history: History) -> History:
+    """A filtered history with its smoothed trajectory, by the compiled backward program."""
+    shape = history.filtered.mean.shape
+    record = object.__new__(Record)
+    empty = np.broadcast_to(0.0, (shape[0], 0, *shape[2:]))
+    for name, value in (("t", history.t), ("z", empty), ("u", history.u), ("pose", None)):
+        object.__setattr__(record, name, value)
+    object.__setattr__(record, "sensor", None)
+    problem = _Problem.of(estimator, record, None)
+    made = kernel(problem.layout(("smoothed",)), "backward")
+    arrays = problem.arrays(made.program)
+    for name, source in (("filtered", history.filtered), ("predicted", history.predicted)):
+        arrays[f"{name}.x"][:] = tile(_flat(source.mean, 2, record.batch))
+        upper = np.triu_indices(shape[1])
+        arrays[f"{name}.P"][:] = tile(_flat(source.cov[:, upper[0], upper[1]], 2, record.batch))
+    _begin_backwards(arrays, shape[1])
+    made.bind(arrays, problem.groups, shape[0])(0, problem.groups)
+    out = Trajectory(problem.lanes_of(arrays["out.x"]), problem.matrices(arrays["out.P"]))
+    return attrs.evolve(history, smoothed=out)
+
+
+@attrs.frozen(eq=False)
+class Sums:
+    """Scores of a chunk of runs, summed: per run over time, per step over blocks of runs.
+
+    Shapes:
+        totals ``(count, runs)``; final ``(runs,)``; partial ``(count, T, blocks)``.
+    """
+
+    totals: Array
+    final: Array
+    partial: Array
+
+
+def scored(
+    estimator: Any, record: Record, prior: Gaussian, start: float | None, truth: Array
+) -> dict[str, Sums]:
+    """Squared position error, NEES, (filter only:) NIS, its degrees, log-likelihood; no histories.
+
+    The last of ``partial`` is the number of finite runs. Keys: "filter" and, with a smoother,
+    "smoother".
+    """
+    smooth = estimator.smoother is not None
+    problem = _Problem.of(estimator, record, start)
+    keep = ("scores", "predicted", "filtered") if smooth else ("scores",)
+    made = kernel(problem.layout(keep), "forward")
+    arrays = problem.arrays(made.program)
+    _prior(problem, prior, arrays)
+    arrays["z"][:] = tile(record.z[:, : arrays["z"].shape[2]])
+    arrays["truth"][:] = tile(truth)
+    made.bind(arrays, problem.groups, len(record))(0, problem.groups)
+    out = {"filter": _sums(problem, arrays)}
+    if smooth:
+        again = kernel(problem.layout(("scores",)), "backward")
+        back = problem.arrays(again.program)
+        for name in ("filtered.x", "filtered.P", "predicted.x", "predicted.P", "truth", "counted"):
+            back[name] = arrays[name]
+        _begin_backwards(back, estimator.motion.space.size)
+        again.bind(back, problem.groups, len(record))(0, problem.groups)
+        out["smoother"] = _sums(problem, back)
+    return out
+
+
+def _sums(problem: _Problem, arrays: Mapping[str, Array]) -> Sums:
+    return Sums(
+        untile(arrays["totals"], problem.lanes),
+        untile(arrays["final"], problem.lanes)[0],
+        np.moveaxis(arrays["curves"].sum(axis=-1), 0, -1).swapaxes(0, 1),
+    )
