@@ -96,3 +96,29 @@ def test_what_is_wrong_is_one_line_and_code_2(arguments: tuple[str, ...], said: 
     assert result.exit_code == 2
     assert said in result.output
     assert len(result.output.splitlines()) == 1
+
+
+def test_a_set_of_sensors_that_saw_nothing_is_named(tmp_path: Path) -> None:
+    (tmp_path / "log_scans.csv").write_text(
+        "scan,t,sensor,own_n,own_e,n_det\n0,0.0,eo,0,0,0\n1,9.0,radar,0,0,0\n", encoding="utf-8"
+    )
+    (tmp_path / "log_detections.csv").write_text(
+        "scan,sensor,rel_n,rel_e,bearing\n", encoding="utf-8"
+    )
+    (tmp_path / "log_truth.csv").write_text(
+        "target,t,n,e\n1,1.0,5,5\n1,3.0,6,6\n1,9.0,9,9\n", encoding="utf-8"
+    )
+    text = (EXAMPLES / "harbour.toml").read_text(encoding="utf-8").partition("[[compare]]")[0]
+    text = text.replace("data/autoferry", ".").replace("scenario02", "log")
+    sets = "".join(
+        f'[[compare]]\nname = "only {name}"\nsensors = ["{name}"]\n' for name in ("radar", "eo")
+    )
+    file = tmp_path / "scene.toml"
+    file.write_text(text + sets, encoding="utf-8")
+    result = tell(file, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "'only eo'" in result.output
+    file.write_text(text + sets.partition('[[compare]]\nname = "only eo"')[0], encoding="utf-8")
+    result = tell(file, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "nan" in result.output, "nothing was measured, so there is no NIS"

@@ -67,12 +67,22 @@ def compare(experiment: Experiment, log: DetectionLog, *, quiet: bool = True) ->
 
     Raises:
         DomainError: if the truth does not tell how the tracks start.
+        ConfigError: if a set of sensors saw nothing after that.
     """
     space, start = experiment.motion.made.space, experiment.start
     tracks = true_start(log.truth, space, seconds=start.seconds, sigma=start.sigma)
     scans = [scan for scan in log.scans if scan.t >= tracks.t]
     outcomes = []
     for one in experiment.compare:
+        if not any(scan.sensor in one.sensors for scan in scans):
+            raise ConfigError(
+                wording(
+                    f"sensors of {one.name!r}",
+                    got=f"no scan from t = {tracks.t:g} s on, when the truth begins",
+                    expected="at least one scan",
+                    do="drop the set from compare, or use another log",
+                )
+            )
         with progress_of(one.name, quiet=quiet) as report:
             history = experiment.pipeline(one).run(
                 tracks, scans, skip_unknown=True, progress=report
