@@ -71,7 +71,7 @@ _SHARED: dict[int, Callable[..., Any]] = {1: _noise_1, 2: _noise_2, 3: _noise_3}
 _EACH: dict[int, Callable[..., Any]] = {1: _noise_x, 2: _noise_xy, 3: _noise_xyz}
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _Discretised:
     """The same noise from F, L and Qc by a general method, to hold the closed form against."""
 

@@ -67,9 +67,12 @@ def stack(
 
 
 # ------------------------------------------------------------------- all of them traceable
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _Composed:
-    """Component functions side by side, their keywords told apart by suffixes."""
+    """Component functions side by side, their keywords told apart by suffixes.
+
+    Equal if made of the same functions, so that equal stacks share a trace and a kernel.
+    """
 
     functions: tuple[Callable[..., Any], ...]
     suffixes: tuple[str, ...]
@@ -97,7 +100,7 @@ class _Composed:
         return out
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _Joined(_Composed):
     """Measurements, one after the other."""
 
@@ -105,7 +108,7 @@ class _Joined(_Composed):
         return tuple(entry for part in self.outputs(components, given) for entry in part)
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _BlockDiagonal(_Composed):
     """Covariances along the diagonal."""
 

@@ -14,7 +14,7 @@ from tracker.models import ComponentSensor, one_of, positive, sqrt
 from tracker.types import PLANAR, SPATIAL, ArrayLike, Axis, Space, as_array
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _Delays:
     """Delay of each receiver but the first, against the first."""
 
@@ -43,7 +43,7 @@ class _Delays:
         return tuple((r - ranges[0]) / speed for r in ranges[1:])
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _ArrivalNoise:
     """Independent errors of the arrival times: differences share that of the first receiver."""
 
@@ -56,7 +56,7 @@ class _ArrivalNoise:
         return tuple(tuple(2.0 * variance if i == j else variance for j in k) for i in k)
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen
 class _DelayNoise:
     """Independent errors of the delays themselves."""
 
