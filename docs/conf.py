@@ -44,6 +44,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": r"__init__\.py",
     "within_subsection_order": "FileNameSortKey",
     "abort_on_example_error": True,
+    "run_stale_examples": True,  # the code may have changed though the tutorial has not
     "download_all_examples": False,
     "show_signature": False,
     "min_reported_time": 1e9,
