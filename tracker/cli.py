@@ -17,6 +17,7 @@ import click
 from tracker.commands.tables import print_table
 
 if TYPE_CHECKING:
+    from tracker.parameters import Parameter
     from tracker.registry import Component, Registry
 
 # Commands in other modules: name -> ("package.module:command", the line shown by --help).
@@ -182,7 +183,7 @@ def _show(component: Component) -> None:
         print_table(
             ("parameter", "unit", "default", "type"),
             [
-                (p.name, p.unit, "(required)" if p.required else p.default, p.annotation)
+                (p.name, p.unit, "(required)" if p.required else p.default, _plain_type(p))
                 for p in parameters
             ],
         )
@@ -191,24 +192,29 @@ def _show(component: Component) -> None:
     click.echo()
 
 
+def _plain_type(parameter: Parameter) -> str:
+    """The annotation without the unit, which has a column of its own."""
+    text = parameter.annotation
+    if text.startswith("Annotated[") and text.endswith("]"):
+        return text[len("Annotated[") : text.rindex(",")]
+    return text
+
+
 def _abilities(component: Component, required: Sequence[str]) -> list[tuple[str, str]]:
     """Shapes and capabilities: of the component with its defaults, or else of its class."""
     facts = []
     made: object
-    if required:
+    try:
+        made = _example(component)
+    except Exception as error:  # noqa: BLE001 - a stranger's constructor may raise anything
         made = component.load()
-        facts.append(("shapes", f"known once made with {', '.join(required)}"))
+        hint = f"known once made with {', '.join(required)}" if required else ""
+        facts.append(("shapes", hint or f"unknown, it cannot be made from its defaults: {error}"))
     else:
-        try:
-            made = component.make()
-        except Exception as error:  # noqa: BLE001 - a stranger's constructor may raise anything
-            made = component.load()
-            facts.append(("shapes", f"unknown, it cannot be made from its defaults: {error}"))
-        else:
-            for name in _SPACES:
-                space = getattr(made, name, None)
-                if hasattr(space, "axes"):
-                    facts.append((name.replace("_", " "), _components(space)))
+        for name in _SPACES:
+            space = getattr(made, name, None)
+            if getattr(space, "axes", ()):
+                facts.append((name.replace("_", " "), _components(space)))
     has = [name for name in _CAPABILITIES if callable(getattr(made, name, None))]
     if getattr(made, "why_opaque", None) == "":
         has.append("components (can be traced)")
@@ -216,6 +222,15 @@ def _abilities(component: Component, required: Sequence[str]) -> list[tuple[str,
     facts += [("has", ", ".join(has))]
     facts += [("needs", ", ".join(needs))] if isinstance(needs, tuple) else []
     return facts
+
+
+def _example(component: Component) -> object:
+    """The component as its defaults or its first example make it."""
+    try:
+        from tracker.testing import from_record
+    except ModuleNotFoundError:  # the kit needs the extra "test"
+        return component.make()
+    return from_record(component)
 
 
 def _components(space: Any) -> str:

@@ -86,6 +86,8 @@ def _default_text(default: object) -> str:
     factory = getattr(default, "factory", None)
     if factory is not None:
         default = factory if getattr(default, "takes_self", False) else factory()
+    if "__str__" in vars(type(default)) and not isinstance(default, (str, bytes)):
+        return str(default)  # a value that has words of its own, such as a space
     return getattr(default, "__name__", None) or repr(default)
 
 
