@@ -53,7 +53,28 @@ def _process(_app: Any, _what: str, _name: str, _it: Any, _options: Any, lines: 
     lines[:] = translated(lines)
 
 
+# Sphinx knows some aliases only by what they stand for.
+_ALIASES = (
+    (re.compile(r"TypeAliasForwardRef\('(\w+)'\)"), r"\1"),
+    (re.compile(r"(?:\w+\.)*ndarray\[tuple\[(?:\w+\.)*Any, \.\.\.\], (?:\w+\.)*dtype\[(?:\w+\.)*float64\]\]"), "Array"),
+)  # fmt: skip
+
+
+def short(signature: str | None) -> str | None:
+    """The signature with arrays called Array, as in the source."""
+    for pattern, name in _ALIASES:
+        signature = pattern.sub(name, signature) if signature else signature
+    return signature
+
+
+def _process_signature(
+    _app: Any, _what: str, _name: str, _it: Any, _options: Any, arguments: str | None, result: str | None
+) -> tuple[str | None, str | None]:  # fmt: skip
+    return short(arguments), short(result)
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", _process)
+    app.connect("autodoc-process-signature", _process_signature)
     return {"parallel_read_safe": True}
