@@ -38,10 +38,10 @@ def congruence(F: Any, P: Any) -> Any:
     if isinstance(F, Columns):
         F = F.dense()
     k, n = F.shape[:2]
-    if _shared(F):  # two GEMMs
-        matrix, batch = F.reshape(k, n), P.shape[2:]
+    if _shared(F):  # matrix products over all lanes at once
+        matrix = F.reshape(k, n)
         half = (matrix @ P.reshape(n, -1)).reshape(k, n, -1)
-        out = (matrix @ half.swapaxes(0, 1).reshape(n, -1)).reshape(k, k, *batch)
+        out = np.matmul(matrix, half).reshape(k, k, *P.shape[2:])
     else:
         half = np.einsum("ik...,kj...->ij...", F, P)
         out = np.einsum("ik...,jk...->ij...", half, F)
