@@ -185,9 +185,7 @@ class Estimator:
         if not self.sources:
             return "(made of objects that are not in the registry)"
         return "\n".join(
-            f"{c.kind} {c.name}: {c.summary} Source: paper {c.paper}"
-            + (f", eq. {', '.join(c.equations)}" if c.equations else "")
-            for c in self.sources
+            f"{c.kind} {c.name}: {c.summary.rstrip('.')}. Source: {c.source}." for c in self.sources
         )
 
     def explain(self) -> str:
@@ -250,8 +248,9 @@ def estimator(
             sources.append(component)
             return component.make()
         # An object made from a registered component still knows its name, so it can be cited.
-        name = getattr(value, "name", None)
-        sources.extend(c for c in default_registry().search(kind=kind) if c.name == name)
+        names = dict.fromkeys((getattr(value, "name", None), *getattr(value, "parts", ())))
+        known = {c.name: c for c in default_registry().search(kind=kind)}
+        sources.extend(known[name] for name in names if name in known)
         return value
 
     model = made("motion", motion)

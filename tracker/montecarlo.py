@@ -195,8 +195,8 @@ class Campaign:
             if "nees" in (metrics or ("nees",)) and row["nees_share"] < 0.5:
                 word = "overconfident" if ratio > 1 else "underconfident"
                 out.append(
-                    f"{label} is {word}: its errors are {np.sqrt(ratio):.2g} times what it claims, "
-                    f"and NEES is inside its band at only {row['nees_share']:.0%} of the steps."
+                    f"{label} is {word}: mean NEES is {ratio:.3g} times what a consistent estimator "
+                    f"has, and inside its band at only {row['nees_share']:.0%} of the steps."
                 )
             if "diverged" in (metrics or ("diverged",)) and row["diverged"]:
                 out.append(

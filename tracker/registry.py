@@ -227,7 +227,10 @@ class Component:
     def source(self) -> str:
         """Paper and equations, as a person cites them."""
         paper = f"paper {self.paper}" if self.paper.isdigit() else self.paper
-        return paper + (f", eq. {', '.join(self.equations)}" if self.equations else "")
+        if not self.equations:
+            return paper
+        numbered = self.equations[0][0] in "(0123456789"  # else it says itself what it is
+        return f"{paper}, {'eq. ' if numbered else ''}{', '.join(self.equations)}"
 
     def missing(self) -> tuple[tuple[str, str], ...]:
         """Those of ``requires`` that cannot be imported here."""

@@ -99,6 +99,9 @@ class Scenario:
 
     def __attrs_post_init__(self) -> None:
         one_of("initial", self.initial, INITIAL)
+        bind = getattr(self.sensor, "over", None)
+        if bind is not None:  # as an estimator does: components of the state are found by name
+            object.__setattr__(self, "sensor", bind(self.motion.space))
         n, steps = self.motion.space.size, len(self.t)
         if self.prior.mean.shape != (n,):
             raise ShapeError(

@@ -32,7 +32,7 @@ def line(
     return Scenario(
         name="line",
         motion=motion,
-        sensor=position(sigma, axes=axes).over(motion.space),
+        sensor=position(sigma, axes=axes),
         prior=Gaussian(np.zeros(2 * axes), cov),
         t=dt * np.arange(1, steps + 1),
         summary="linear and Gaussian",

@@ -241,6 +241,7 @@ def test_an_estimator_cites_the_components_it_was_given_by_name_or_as_objects(es
     assert [line.split(":")[0] for line in lines] == [
         "motion constant_velocity",
         "sensor stack",
+        "sensor azimuth",
         "filter ekf1",
         "smoother rts",
     ]

@@ -67,9 +67,11 @@ def residual(difference: Any, circular: bool | tuple[bool, ...]) -> Any:
     out = difference.copy()
     for i, flag in enumerate(flags):
         if flag:
-            out[i] = plain(wrap(difference[i])) if difference.ndim == 1 else [
-                plain(wrap(e)) for e in difference[i]
-            ]
+            out[i] = (
+                plain(wrap(difference[i]))
+                if difference.ndim == 1
+                else [plain(wrap(e)) for e in difference[i]]
+            )
     return out
 
 
@@ -112,9 +114,12 @@ def _forward(rows: list[list[Any]], inverse: list[Any], columns: list[Any]) -> l
     out: list[Any] = []
     for a, column in enumerate(columns):
         below = rows[a][:a]
-        out.append([
-            plain((e - _dot(below, [w[i] for w in out])) * inverse[a]) for i, e in enumerate(column)
-        ])
+        out.append(
+            [
+                plain((e - _dot(below, [w[i] for w in out])) * inverse[a])
+                for i, e in enumerate(column)
+            ]
+        )
     return out
 
 
@@ -173,4 +178,10 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
     nis = where(less(absolute(total), math.inf), _dot(y, y), math.nan)
     loglik = -0.5 * (nis + log(determinant) + LOG_TAU * count)
-    return new, _symmetric(n, lambda i, j: cov[i, j] - _dot(column[i], column[j])), nis, loglik, count
+    return (
+        new,
+        _symmetric(n, lambda i, j: cov[i, j] - _dot(column[i], column[j])),
+        nis,
+        loglik,
+        count,
+    )

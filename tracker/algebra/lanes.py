@@ -6,7 +6,9 @@ neighbours. Written for speed at about 1,000 lanes: a verb is a dozen array oper
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,19 @@ from tracker.models.functions import wrap
 from tracker.types import Columns
 
 LOG_TAU = math.log(2.0 * math.pi)
+
+
+BUFFER = 128
+"""Entries in NumPy's working buffer (8,192 by default): whatever broadcasts is copied through it, and
+through a small one twice as fast."""
+
+
+@contextlib.contextmanager
+def at_once() -> Iterator[None]:
+    """NumPy set up for recursions over lanes; a lane that diverges is no reason for a warning."""
+    with np.errstate(all="ignore"):  # restores the buffer too
+        np.setbufsize(BUFFER)
+        yield
 
 
 def wrap_in_place(angles: Any) -> None:
@@ -146,13 +161,14 @@ def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
 def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
     m = len(v)
     missing = np.isnan(v)
-    masked = missing.any()
+    masked = np.count_nonzero(missing) > 0
     if masked:
         v = np.where(missing, 0.0, v)
-    batch = cov.shape[2:]
+        unseen = missing.astype(np.float64)
+        seen = 1.0 - unseen
     rows: list[list[Any]] = [[None] * m for _ in range(m)]
-    W = np.empty((m, *mean.shape[:1], *batch))
-    y = np.empty((m, *batch))
+    W: list[Any] = []
+    y: list[Any] = []
     determinant: Any = 1.0
     for k in range(m):
         s, w, u = S[k, k], cross[:, k], v[k]
@@ -164,18 +180,23 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
             s = s - entry * entry
             w = w - entry * W[j]
             u = u - entry * y[j]
-        inverse = 1.0 / np.sqrt(s)
-        if masked:  # an infinite variance: the reciprocal of its root is zero, and so are w and u
-            inverse = np.where(missing[k], 0.0, inverse)
-            s = np.where(missing[k], 1.0, s)
+        if masked:  # unit pivot, and the reciprocal of an infinite variance: w and u become zero
+            s = s * seen[k]
+            s += unseen[k]
+            inverse = seen[k] / np.sqrt(s)
+        else:
+            inverse = 1.0 / np.sqrt(s)
         determinant = determinant * s
         rows[k][k] = inverse
-        np.multiply(w, inverse, W[k])
-        np.multiply(u, inverse, y[k])
-    outer = np.einsum("ki...,kj...->ij...", W, W)
-    mean = mean + np.einsum("ki...,k...->i...", W, y)
-    nis = np.einsum("k...,k...->...", y, y)
-    nis += 0.0 * mean.sum(axis=0)  # NaN in a lane whose mean is not finite
-    count = (m - missing.sum(axis=0, dtype=np.float64)) if masked else np.full(batch, float(m))
+        W.append(w * inverse)
+        y.append(u * inverse)
+    mean, cov, nis = mean.copy(), cov.copy(), 0.0
+    outer = np.empty_like(cov)
+    for w, u in zip(W, y, strict=True):
+        mean += w * u
+        cov -= np.multiply(w[:, None], w, outer)
+        nis = nis + u * u
+    nis += 0.0 * np.add.reduce(mean, axis=0)  # NaN in a lane whose mean is not finite
+    count = np.add.reduce(seen, axis=0) if masked else np.full(nis.shape, float(m))
     loglik = -0.5 * (nis + np.log(determinant) + LOG_TAU * count)
-    return mean, np.subtract(cov, outer, outer), nis, loglik, count
+    return mean, cov, nis, loglik, count

@@ -113,9 +113,7 @@ class Trace:
     def columns(self) -> tuple[int, ...]:
         """Positional inputs by which some output has a derivative that is not literally zero."""
         return tuple(
-            j
-            for j in range(len(self.positional))
-            if not all(is_zero(row[j]) for row in self.first)
+            j for j in range(len(self.positional)) if not all(is_zero(row[j]) for row in self.first)
         )
 
     @functools.cached_property
@@ -237,8 +235,9 @@ class ComponentFunction:
         if missing:
             raise CapabilityError(
                 f"{owner} needs the state components {', '.join(missing)}, which the state "
-                f"({', '.join(state)}) does not have. Use a motion model with these components, "
-                f"or a sensor that needs only {', '.join(state)}."
+                f"({', '.join(state)}) does not have. Use a motion model with these components; "
+                "or, if they are no state components but pose or parameters, name them after a "
+                "bare * in the function's signature."
             )
         self.width = len(state)
         self.places = tuple(list(state).index(name) for name in self.positional)

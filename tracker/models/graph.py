@@ -378,5 +378,3 @@ def hessian(first: Sequence[Sequence[Entry]], inputs: Sequence[Node]) -> list[li
             for j in range(i, n):
                 out[a][i][j] = out[a][j][i] = derivative(entry, inputs[j])
     return out
-
-

@@ -11,7 +11,7 @@ import numpy as np
 
 from tracker.errors import CapabilityError, ShapeError, wording
 from tracker.models.component import Author, ComponentFunction
-from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped
+from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
 from tracker.types import EMPTY_SPACE, ArrayLike, Space
 
 RESERVED = ("dt", "t")
@@ -42,12 +42,12 @@ class ComponentMotion:
     """
 
     name: str
-    advance: Author
-    noise: Author
-    space: Space
-    input_space: Space = EMPTY_SPACE
+    advance: Author = attrs.field(repr=False)
+    noise: Author = attrs.field(repr=False)
+    space: Space = attrs.field(repr=str)
+    input_space: Space = attrs.field(default=EMPTY_SPACE, repr=str)
     parameters: MappingProxyType[str, Any] = attrs.field(
-        factory=dict, converter=checked_parameters
+        factory=dict, converter=checked_parameters, repr=shown
     )
     _advance: ComponentFunction = attrs.field(init=False, repr=False, default=_function("advance"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
@@ -82,6 +82,16 @@ class ComponentMotion:
                     got=f"{len(self._advance.trace.roots)} components",
                     expected=f"{self.space.size}, as space is ({self.space})",
                     do="return one entry per component of space",
+                )
+            )
+        n = self.space.size
+        if self._noise.traced and self._noise.trace.shape != (n, n):
+            raise ShapeError(
+                wording(
+                    f"motion {self.name!r}: noise",
+                    got=f"shape {self._noise.trace.shape}",
+                    expected=f"({n}, {n}), as space is ({self.space})",
+                    do="return Q as a tuple of rows",
                 )
             )
 

@@ -119,4 +119,11 @@ def filled(value: Any, lead: int, batch: tuple[int, ...]) -> Any:
     """``value``, of ``lead`` component axes, with shared batch axes repeated (as a view)."""
     if value.shape[lead:] == batch:
         return value
-    return np.broadcast_to(value, value.shape[:lead] + np.broadcast_shapes(value.shape[lead:], batch))
+    return np.broadcast_to(
+        value, value.shape[:lead] + np.broadcast_shapes(value.shape[lead:], batch)
+    )
+
+
+def shown(parameters: Mapping[str, Any]) -> str:
+    """Parameters as a person reads them."""
+    return ", ".join(f"{name}={value}" for name, value in parameters.items())

@@ -12,7 +12,7 @@ import numpy as np
 from tracker.algebra import residual
 from tracker.errors import CapabilityError, ShapeError, wording
 from tracker.models.component import Author, ComponentFunction
-from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped
+from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
 from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Space
 
 
@@ -32,7 +32,8 @@ class ComponentSensor:
     rows. Positional parameters name components of ``state``; keyword-only ones name components of
     ``pose_space`` or entries of ``parameters``. Functions from `tracker.models` make it traceable;
     one that cannot be traced still measures, but has no derivatives unless ``derivative``, a
-    function with the signature of ``measure`` that returns rows, gives them.
+    function with the signature of ``measure`` that returns rows, gives them. ``parts`` names the
+    registered sensors that this one was made of, for `Estimator.cite`.
 
     Shapes:
         x ``(n, *batch)``; pose ``(p,)`` or ``(p, *batch)``; parameters scalars or ``(*batch)``.
@@ -56,15 +57,16 @@ class ComponentSensor:
     """
 
     name: str
-    measure: Author
-    noise: Author
-    space: Space
-    pose_space: Space = EMPTY_SPACE
-    state: Space = PLANAR
+    measure: Author = attrs.field(repr=False)
+    noise: Author = attrs.field(repr=False)
+    space: Space = attrs.field(repr=str)
+    pose_space: Space = attrs.field(default=EMPTY_SPACE, repr=str)
+    state: Space = attrs.field(default=PLANAR, repr=str)
     parameters: MappingProxyType[str, Any] = attrs.field(
-        factory=dict, converter=checked_parameters
+        factory=dict, converter=checked_parameters, repr=shown
     )
-    derivative: Author | None = None
+    derivative: Author | None = attrs.field(default=None, repr=False)
+    parts: tuple[str, ...] = attrs.field(default=(), repr=False)
     _measure: ComponentFunction = attrs.field(init=False, repr=False, default=_function("measure"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
     _circular: bool | tuple[bool, ...] = attrs.field(init=False, repr=False)
@@ -93,6 +95,16 @@ class ComponentSensor:
                     got=f"{len(self._measure.trace.roots)} components",
                     expected=f"{self.space.size}, as space is ({self.space})",
                     do="return one entry per component of space",
+                )
+            )
+        m = self.space.size
+        if self._noise.traced and self._noise.trace.shape != (m, m):
+            raise ShapeError(
+                wording(
+                    f"sensor {self.name!r}: noise",
+                    got=f"shape {self._noise.trace.shape}",
+                    expected=f"({m}, {m}), as space is ({self.space})",
+                    do="return R as a tuple of rows: ((sigma**2,),), or diagonal(a, b)",
                 )
             )
 
