@@ -57,6 +57,15 @@ def test_what_is_handed_in_is_neither_kept_nor_changed():
         state.mean = mean
 
 
+def test_an_array_of_parameters_is_the_models_own():
+    from tracker_motion.constant_velocity import constant_velocity
+
+    density = np.array([0.1, 0.2])
+    motion = constant_velocity(density=density)
+    density[0] = 99.0
+    assert motion.parameters["density"].tolist() == [0.1, 0.2]
+
+
 def test_a_diverged_lane_is_allowed_in_a_batch_and_a_singular_covariance_everywhere():
     mean = np.array([[0.0, np.nan], [0.0, 0.0]])
     assert tk.Gaussian(mean, np.zeros((2, 2))).batch == (2,)

@@ -45,7 +45,13 @@ def checked_parameters(parameters: Mapping[str, Any]) -> MappingProxyType[str, A
                     do="give a number, or an array with the batch shape",
                 )
             )
-        out[name] = float(array) if array.ndim == 0 else array
+        if array.ndim == 0:
+            out[name] = float(array)
+            continue
+        if array.flags.writeable:  # what a caller does to an array later must not change a model
+            array = array.copy()
+            array.setflags(write=False)
+        out[name] = array
     return MappingProxyType(out)
 
 
