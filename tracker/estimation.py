@@ -13,6 +13,8 @@ from typing import Any
 import attrs
 import numpy as np
 
+from tracker.algebra import at_once
+from tracker.algebra.lanes import BUFFER
 from tracker.compile import run as compiled
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.protocols import Filter, MotionModel, SensorModel, Smoother
@@ -167,6 +169,8 @@ class Estimator:
     def _step(
         self, state: Any, z: Any, dt: Any, pose: Any, u: Any, t: Any, sensor: SensorModel
     ) -> tuple[Any, Innovation]:
+        if z.ndim > 1:
+            np.setbufsize(BUFFER)  # until the decorator leaves
         predicted = self.filter.predict(state, self.motion, dt, u, t)
         return self.filter.update(predicted, sensor, z, pose)
 
@@ -288,7 +292,7 @@ def filter(  # noqa: A001 - the field's word
         wide = filter(estimator, record_lanes(record, PAIR), prior[..., PAIR], start=start)
         return _history_lanes(wide, slice(0, 1))
     history = _allocated(estimator, record, prior)
-    with np.errstate(all="ignore"):
+    with at_once():
         for tile in tiles(record.batch, prior.n):
             part, some, whole = _tile(estimator, record, prior, history, tile)
             for k, _, predicted, state, innovation in steps(part, some[0], some[1], start):
@@ -323,13 +327,15 @@ def smoothed(estimator: Estimator, history: History) -> History:
     if batch and int(np.prod(batch)) == 1:
         return _history_lanes(smoothed(estimator, _history_lanes(history, PAIR)), slice(0, 1))
     parts = tiles(batch, n)
-    if len(parts) == 1:
-        return smoother.smooth(history, estimator.motion)
-    mean, cov = np.empty_like(history.filtered.mean), np.empty_like(history.filtered.cov)
-    for tile in parts:
-        done = smoother.smooth(_history_lanes(history, tile), _cut(estimator.motion, tile)).smoothed
-        assert done is not None  # noqa: S101 - a smoother fills it in
-        mean[..., tile], cov[..., tile] = done.mean, done.cov
+    with at_once():
+        if len(parts) == 1:
+            return smoother.smooth(history, estimator.motion)
+        mean, cov = np.empty_like(history.filtered.mean), np.empty_like(history.filtered.cov)
+        for tile in parts:
+            part = _history_lanes(history, tile)
+            done = smoother.smooth(part, _cut(estimator.motion, tile)).smoothed
+            assert done is not None  # noqa: S101 - a smoother fills it in
+            mean[..., tile], cov[..., tile] = done.mean, done.cov
     return attrs.evolve(history, smoothed=Trajectory(mean, cov))
 
 
@@ -338,7 +344,7 @@ def steps(
 ) -> Iterator[tuple[int, int, Any, Any, Innovation]]:
     """The recursion itself: step, sensor, predicted state, filtered state, innovation.
 
-    NumPy's floating-point warnings are the caller's to silence: a diverged lane is not an error.
+    Run it inside `tracker.algebra.at_once`: a diverged lane is no reason for a warning.
     """
     rule, motion, sensors = estimator.filter, estimator.motion, estimator.sensors
     t, z, u, pose = record.t, record.z, record.u, record.pose

@@ -13,6 +13,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from tracker.algebra import at_once
 from tracker.errors import DomainError, ShapeError, wording
 from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
@@ -159,7 +160,7 @@ class Scenario:
         z = np.empty((steps, self.sensor.space.size, len(numbers)))
         # Products over lanes take other code paths for one lane: never simulate one alone.
         wide = numbers if len(numbers) != 1 else numbers * 2
-        with np.errstate(all="ignore"):
+        with at_once():
             begin, prior = self._begin(seed, wide, condition)
             self._truth(truth, begin, seed, wide, condition)
             self._measure(z, truth, seed, wide, condition)

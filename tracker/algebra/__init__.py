@@ -24,11 +24,13 @@ from typing import Any
 import numpy as np
 
 from tracker.algebra import components, lanes
+from tracker.algebra.lanes import at_once
 from tracker.models.functions import wrap
 from tracker.types import Columns
 
 __all__ = [
     "apply",
+    "at_once",
     "condition",
     "congruence",
     "dense",

@@ -190,11 +190,12 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         rows[k][k] = inverse
         W.append(w * inverse)
         y.append(u * inverse)
-    mean, cov, nis = mean.copy(), cov.copy(), 0.0
-    outer = np.empty_like(cov)
+    nis: Any = 0.0
+    outer = np.empty((*W[0].shape[:1], *W[0].shape))
+    smaller = np.empty_like(outer)
     for w, u in zip(W, y, strict=True):
-        mean += w * u
-        cov -= np.multiply(w[:, None], w, outer)
+        mean = mean + w * u
+        cov = np.subtract(cov, np.multiply(w[:, None], w, outer), smaller)
         nis = nis + u * u
     nis += 0.0 * np.add.reduce(mean, axis=0)  # NaN in a lane whose mean is not finite
     count = np.add.reduce(seen, axis=0) if masked else np.full(nis.shape, float(m))
