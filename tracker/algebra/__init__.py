@@ -118,7 +118,7 @@ def residual(z: Any, zhat: Any, circular: bool | tuple[bool, ...]) -> Any:
     if difference.ndim == 1:
         flags = (circular,) * len(difference) if circular is True else circular
         for i, value in enumerate(difference.tolist()):
-            if flags[i] and not -math.pi < value <= math.pi:
+            if flags[i] and abs(value) >= lanes.NEARLY_PI:
                 difference[i] = wrap(value)
         return difference
     if circular is True:

@@ -32,9 +32,13 @@ def at_once() -> Iterator[None]:
         yield
 
 
+NEARLY_PI = math.pi - 2e-15
+"""Angles of smaller size are their own `wrap`; between here and pi its rounding decides."""
+
+
 def wrap_in_place(angles: Any) -> None:
     """`tracker.models.wrap` of the few angles that need it."""
-    outside = np.abs(angles) >= math.pi
+    outside = np.abs(angles) >= NEARLY_PI
     if outside.any():
         angles[outside] = wrap(angles[outside])
 
