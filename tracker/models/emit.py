@@ -123,7 +123,8 @@ def float_form(
                 text = f"_{n.op}({', '.join(v)})"
         body.append(f"    v{n.index} = {text}")
     results = [f"v{r.index}" if isinstance(r, Node) else _constant(r) for r in roots]
-    source = "def form(x, k):\n" + "\n".join([*body, f"    return ({', '.join(results)},)"]) + "\n"
+    answer = "".join(f"{result}, " for result in results)  # none at all is a tuple too
+    source = "def form(x, k):\n" + "\n".join([*body, f"    return ({answer})"]) + "\n"
     return _compiled(source, "form", _FLOAT_NAMES, label)
 
 
