@@ -99,8 +99,9 @@ def _global_state(seed: int) -> Iterator[None]:
 
 
 def _legacy() -> tuple[Any, ...]:
-    name, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002 - what is watched
-    return (random.getstate(), name, keys.tobytes(), *rest)  # type: ignore[union-attr]
+    state: Any = np.random.get_state(legacy=True)  # noqa: NPY002 - what is watched
+    name, keys, *rest = state
+    return (random.getstate(), name, keys.tobytes(), *rest)
 
 
 @law(*KINDS, name="no global random state", examples=2)
