@@ -40,8 +40,11 @@ __all__ = [
     "mahalanobis",
     "product",
     "residual",
+    "spread",
     "symmetric_product",
     "transpose",
+    "weighted",
+    "weighted_mean",
     "without_missing",
     "wrap",
 ]
@@ -94,9 +97,10 @@ def apply(A: Any, v: Any) -> Any:
     """``A v``.
 
     Shapes:
-        A ``(k, n, *batch)``; v ``(n, *batch)``; result ``(k, *batch)``.
+        A ``(k, n, *batch)`` or `Columns`; v ``(n, *batch)``; result ``(k, *batch)``.
     """
-    return _of(A).product(A, v[:, None])[:, 0]
+    column = v[:, None]
+    return _of(column).product(A, column)[:, 0]
 
 
 def transpose(A: Any) -> Any:
@@ -137,6 +141,40 @@ def factor(P: Any) -> Any:
         P ``(n, n, *batch)``; result alike.
     """
     return _of(P).factor(P)
+
+
+def spread(mean: Any, L: Any, points: Any) -> Any:
+    """``mean + L xi`` for each column xi of ``points``: places spread about a mean.
+
+    Shapes:
+        mean ``(n, *batch)``; L ``(n, n, *batch)``; points ``(n, s)``, numbers;
+        result ``(n, s, *batch)``.
+    """
+    return mean[:, None] + _of(L).spread(L, points)
+
+
+def weighted_mean(d: Any, weights: Any) -> Any:
+    """``sum_s w_s d_s``. Of angles, give differences about one of them: differences can be added.
+
+    With several columns of weights, as many means: those with weights ``w_s xi_s``, times the L
+    of `spread`, are the covariance between what was spread and d.
+
+    Shapes:
+        d ``(m, s, *batch)``; weights ``(s,)`` or ``(s, k)``, numbers; result ``(m, *batch)`` or
+        ``(m, k, *batch)``.
+    """
+    if weights.ndim == 1:
+        return _of(d).weighted_mean(d, weights[:, None])[:, 0]
+    return _of(d).weighted_mean(d, weights)
+
+
+def weighted(d: Any, weights: Any) -> Any:
+    """``sum_s w_s d_s d_s'``, exactly symmetric.
+
+    Shapes:
+        d ``(m, s, *batch)``; weights ``(s,)``, numbers; result ``(m, m, *batch)``.
+    """
+    return _of(d).weighted(d, weights)
 
 
 def gain(cross: Any, S: Any) -> Any:

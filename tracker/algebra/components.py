@@ -75,6 +75,19 @@ def residual(difference: Any, circular: bool | tuple[bool, ...]) -> Any:
     return out
 
 
+def spread(L: Any, points: Any) -> Any:
+    return product(L, points)
+
+
+def weighted_mean(d: Any, weights: Any) -> Any:
+    return product(d, weights)
+
+
+def weighted(d: Any, weights: Any) -> Any:
+    scaled = [[w * e for w, e in zip(weights.tolist(), row, strict=True)] for row in d]
+    return _symmetric(len(d), lambda i, j: _dot(scaled[i], d[j]))
+
+
 def _inverse_factor(S: Any) -> tuple[list[list[Any]], list[Any]]:
     """Rows of the factor below the diagonal, and the reciprocals of its diagonal.
 

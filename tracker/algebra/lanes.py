@@ -93,6 +93,21 @@ def symmetric_product(A: Any, H: Any) -> Any:
     return out
 
 
+def spread(L: Any, points: Any) -> Any:
+    return np.einsum("ij...,js->is...", L, points)
+
+
+def weighted_mean(d: Any, weights: Any) -> Any:
+    return np.einsum("as...,sk->ak...", d, weights)
+
+
+def weighted(d: Any, weights: Any) -> Any:
+    scaled = d * weights.reshape(-1, *(1,) * (d.ndim - 2))
+    out = np.einsum("as...,cs...->ac...", scaled, d)
+    mirror(out)
+    return out
+
+
 def factor(P: Any) -> Any:
     n = len(P)
     A, L = P.copy(), np.zeros(P.shape)

@@ -48,6 +48,20 @@ def symmetric_product(A: Any, H: Any) -> Any:
     return out
 
 
+def spread(L: Any, points: Any) -> Any:
+    return L.dot(points)
+
+
+def weighted_mean(d: Any, weights: Any) -> Any:
+    return d.dot(weights)
+
+
+def weighted(d: Any, weights: Any) -> Any:
+    out = (d * weights).dot(d.T)
+    _mirror(out)
+    return out
+
+
 def factor(P: Any) -> Any:
     L, info = dpotrf(P, 1, 1)
     # Singular (or not finite): the rule of the lanes, on one lane.

@@ -222,7 +222,7 @@ class ComponentFunction:
     """An author's function bound to the components of a state.
 
     Keyword values come with each call. `evaluate`, `first`, `second` and `linearise` accept one
-    run ``(n,)``, arrays of lanes ``(n, *batch)``, or object arrays ``(n,)`` of graph nodes. A result
+    run ``(n,)``, arrays of lanes ``(n, *batch)``, or object arrays of graph nodes. A result
     that all lanes share has trailing axes of length 1; one that no state changes is read-only.
     """
 
@@ -329,7 +329,11 @@ class ComponentFunction:
         if keywords is not known:
             given, shared, symbolic = self._given(keywords)
         if symbolic or x.dtype.hasobject:
-            return self._on_nodes(bound, x.tolist(), given)
+            if x.ndim == 1:
+                return self._on_nodes(bound, x.tolist(), given)
+            places = x.reshape(len(x), -1).T.tolist()
+            out = np.stack([self._on_nodes(bound, place, given) for place in places], axis=-1)
+            return out.reshape(bound.shape + x.shape[1:])
         if shared:
             if not bound.depends:
                 return self._kept(bound, given, x.ndim - 1)
