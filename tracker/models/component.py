@@ -210,10 +210,13 @@ class _Bound:
         self.depends = not inputs_of(self.entries).isdisjoint(trace.positional)
         self.floats = trace.form(what, "float", width, places)
         self.arrays = functools.partial(trace.form, what, "array", width, places)
-        # Keyword values and the answer to them, where the state does not matter: mostly dt, and Q
-        # or R of the step before.
-        self.kept: tuple[Sequence[float], Array] | None = None
+        # Answers by keyword values, where the state does not matter: mostly Q by dt, and R. Equal
+        # time steps differ in their last bits, hence several.
+        self.kept: dict[tuple[float, ...], Array] = {}
 
+
+KEPT = 32
+"""Answers that are kept for keyword values that may come again."""
 
 _NOTHING: tuple[Any, list[Any], bool, bool] = (None, [], True, False)
 
@@ -365,14 +368,16 @@ class ComponentFunction:
 
     def _kept(self, bound: _Bound, given: list[float], axes: int) -> Array:
         """What the state does not change, with ``axes`` batch axes of length 1; read-only."""
-        kept = bound.kept
-        if kept is not None and kept[0] == given and kept[1].ndim == len(bound.shape) + axes:
-            return kept[1]
-        out = self._on_floats(bound, [0.0] * self.width, given)
-        out = out.reshape(bound.shape + (1,) * axes)
-        out.setflags(write=False)
-        bound.kept = (given, out)
-        return out
+        key = (axes, *given)
+        found = bound.kept.get(key)
+        if found is None:
+            found = self._on_floats(bound, [0.0] * self.width, given)
+            found = found.reshape(bound.shape + (1,) * axes)
+            found.setflags(write=False)
+            if len(bound.kept) >= KEPT:
+                bound.kept.clear()
+            bound.kept[key] = found
+        return found
 
     def _on_floats(self, bound: _Bound, x: list[float], given: list[float]) -> Array:
         try:
