@@ -2,6 +2,7 @@
 
 import math
 
+import attrs
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,11 +15,13 @@ from tracker.compile.llvm import Kernel
 from tracker.compile.program import Program, Rate, allocate, interpret, tile, untile
 from tracker.errors import CapabilityError, ConfigError, ShapeError
 from tracker.models import (
+    ComponentMotion,
     ComponentSensor,
     acos,
     asin,
     atan2,
     cos,
+    diagonal,
     exp,
     log,
     maximum,
@@ -27,6 +30,8 @@ from tracker.models import (
     sqrt,
     where,
 )
+from tracker.types import PLANAR
+from tracker_kalman.ekf1 import ExtendedKalmanFilter
 from tracker_motion.constant_velocity import constant_velocity
 from tracker_motion.coordinated_turn import coordinated_turn
 from tracker_sensors.azimuth import azimuth
@@ -254,6 +259,27 @@ def test_a_known_input_is_compiled(monkeypatch):
     close(*both(monkeypatch, est, record, tk.Gaussian(np.zeros(4), np.eye(4))))
 
 
+@pytest.mark.parametrize("lanes_of_time", [False, True])
+def test_a_motion_that_depends_on_time_is_smoothed_with_the_time_of_each_step(
+    monkeypatch, lanes_of_time
+):
+    def advance(x, y, vx, vy, *, dt, t):
+        gust = log(t) * sin(t)  # not finite at t = 0
+        return (x + dt * vx * gust, y + dt * vy, vx, vy)
+
+    motion = ComponentMotion(
+        name="gusts", advance=advance, noise=lambda *, dt: diagonal(dt, dt, dt, dt), space=PLANAR
+    )
+    est, record, prior = problem((9,), motion=motion, steps=7, lanes_of_time=lanes_of_time)
+    late = tk.Record(record.t + 3.0, record.z)
+    compiled = []
+    for choice in ("off", "require"):
+        monkeypatch.setenv("TRACKER_COMPILE", choice)
+        compiled.append(tk.smooth(est, late, prior))
+    close(*compiled)
+    assert np.isfinite(compiled[0].smoothed.mean).all()
+
+
 def test_bits_do_not_depend_on_how_many_lanes_there_are(monkeypatch):
     monkeypatch.setenv("TRACKER_COMPILE", "require")
     est, record, prior = problem((1000,))
@@ -343,6 +369,18 @@ def test_what_cannot_be_compiled_runs_on_arrays_and_says_why(monkeypatch):
     monkeypatch.setenv("TRACKER_COMPILE", "require")
     with pytest.raises(CapabilityError, match=r"require.*foreign"):
         tk.filter(est, record, tk.Gaussian([1.0, 0, 0, 0], np.eye(4)))
+
+
+def test_a_filter_that_holds_an_array_runs_on_arrays_and_says_why(monkeypatch):
+    @attrs.frozen(eq=False)
+    class Tuned(ExtendedKalmanFilter):
+        weights: np.ndarray = attrs.field(factory=lambda: np.ones(3))
+
+    monkeypatch.setenv("TRACKER_COMPILE", "on")
+    est, record, prior = problem((3,), steps=3)
+    tuned = attrs.evolve(est, filter=Tuned())
+    assert "unhashable" in tuned.explain()
+    close(tk.smooth(tuned, record, prior), tk.smooth(est, record, prior))
 
 
 def test_the_switch_has_three_positions(monkeypatch):

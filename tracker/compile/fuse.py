@@ -7,7 +7,7 @@ algorithm, and nothing in a plugin mentions compilation. Running the programs is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import attrs
 import numpy as np
@@ -17,7 +17,7 @@ from tracker.compile.program import Program, Rate
 from tracker.errors import TraceError
 from tracker.models.functions import absolute, isnan, less, where
 from tracker.models.graph import Node
-from tracker.types import Gaussian
+from tracker.types import EMPTY_SPACE, Gaussian, Space
 
 INFINITY = float("inf")
 
@@ -91,6 +91,63 @@ def why_not(filter_: Any, motion: Any, sensors: Sequence[Any]) -> str:
     return ""
 
 
+@attrs.frozen
+class Linearised:
+    """Stands for a sensor of which only value, Jacobian and noise at the predicted mean are known.
+
+    ``columns`` are those in which the Jacobian is not zero. Equal ones share a program: ``residual``
+    follows from ``key``.
+    """
+
+    key: Any
+    columns: tuple[int, ...]
+    width: int
+    space: Any = attrs.field(eq=False)
+    residual: Any = attrs.field(eq=False)
+    entries: tuple[Any, ...] = ()
+
+    parameters: ClassVar[Mapping[str, Any]] = {}
+    pose_space: ClassVar[Space] = EMPTY_SPACE
+
+    @property
+    def size(self) -> int:
+        """How many numbers are known: of the value, the Jacobian and the triangle of the noise."""
+        m = self.space.size
+        return int(m + m * len(self.columns) + triangle(m))
+
+    def worth(self, entries: Sequence[Any]) -> Linearised:
+        """The same sensor with those numbers."""
+        return attrs.evolve(self, entries=tuple(entries))
+
+    def linearise(self, x: Any, pose: Any = None) -> tuple[Any, Any]:
+        """Value and Jacobian."""
+        self._only_at_the_mean(x)
+        m = self.space.size
+        H = np.zeros((m, self.width), dtype=object)
+        for j, column in enumerate(self.columns):
+            H[:, column] = [self.entries[m + i * len(self.columns) + j] for i in range(m)]
+        return self.h(x, pose), H
+
+    def h(self, x: Any, _pose: Any = None) -> Any:
+        """Value."""
+        self._only_at_the_mean(x)
+        return vector(self.entries[: self.space.size])
+
+    def jacobian(self, x: Any, pose: Any = None) -> Any:
+        """Jacobian."""
+        return self.linearise(x, pose)[1]
+
+    def R(self, x: Any, _pose: Any = None) -> Any:
+        """Noise."""
+        self._only_at_the_mean(x)
+        m = self.space.size
+        return unpack(self.entries[m + m * len(self.columns) :], m)
+
+    def _only_at_the_mean(self, x: Any) -> None:
+        if any(not isinstance(e, Node) or e.value != f"x.{i}" for i, e in enumerate(x)):
+            raise TraceError("it asks for the sensor elsewhere than at the predicted mean")
+
+
 class _Composer:
     """The inputs of a program, as what the components' methods take."""
 
@@ -116,6 +173,8 @@ class _Composer:
     def sensor(self, i: int) -> tuple[Any, Any]:
         """Sensor i, and its pose."""
         sensor = self._with_parameters(f"sensor{i}", self.layout.sensors[i])
+        if isinstance(sensor, Linearised):
+            return sensor.worth(self.program.input(f"seen{i}", sensor.size, Rate.BOTH)), None
         size = sensor.pose_space.size
         if not size:
             return sensor, None
@@ -150,30 +209,70 @@ def forward(layout: Layout) -> Program:
         _symbolic(layout.filter, updated.mean)
         program.set("x", list(updated.mean), i)
         program.set("P", pack(updated.cov), i)
-        if "predicted" in layout.keep:
-            program.history("predicted.x", list(predicted.mean), i)
-            program.history("predicted.P", pack(predicted.cov), i)
-        if "filtered" in layout.keep:
-            program.history("filtered.x", list(updated.mean), i)
-            program.history("filtered.P", pack(updated.cov), i)
-        if "innovation" in layout.keep:
-            pad = [float("nan")] * (most - m)
-            program.history("residual", [*innovation.residual, *pad], i)
-            full = np.zeros((most, most), dtype=object)
-            full[:m, :m] = innovation.S
-            program.history("S", pack(full), i)
-            program.history("score", [innovation.nis, innovation.loglik, innovation.count], i)
+        _histories(program, i, layout, predicted, updated, innovation)
         if truth is not None:
             more = [innovation.nis, innovation.count, innovation.loglik]
             scores(program, i, layout.motion, updated, truth, counted, more)
     return program
 
 
+def around(layout: Layout) -> Program:
+    """Update, then predict to the next row: the carried moments are predicted ones.
+
+    Between two such steps someone else may evaluate a sensor at the predicted mean (`Linearised`).
+    """
+    count = len(layout.sensors)
+    program = Program(variants=count)
+    if count > 1:
+        program.input("variant", 1, Rate.STEP)
+    c = _Composer(program, layout)
+    predicted = Gaussian.trusted(
+        vector(program.state("x", c.n)), unpack(program.state("P", triangle(c.n)), c.n)
+    )
+    z = program.input("z", max(s.space.size for s in layout.sensors), Rate.BOTH)
+    for i in range(count):
+        sensor, pose = c.sensor(i)
+        measured = vector(z[: sensor.space.size])
+        updated, innovation = layout.filter.update(predicted, sensor, measured, pose)
+        ahead = layout.filter.predict(updated, c.motion, c.dt, c.u, c.t)
+        _symbolic(layout.filter, updated.mean)
+        _symbolic(layout.filter, ahead.mean)
+        program.set("x", list(ahead.mean), i)
+        program.set("P", pack(ahead.cov), i)
+        _histories(program, i, layout, predicted, updated, innovation)
+    return program
+
+
+def _histories(
+    program: Program,
+    variant: int,
+    layout: Layout,
+    predicted: Gaussian,
+    updated: Gaussian,
+    innovation: Any,
+) -> None:
+    """The histories that ``layout.keep`` names; residuals are padded to the largest sensor."""
+    if "predicted" in layout.keep:
+        program.history("predicted.x", list(predicted.mean), variant)
+        program.history("predicted.P", pack(predicted.cov), variant)
+    if "filtered" in layout.keep:
+        program.history("filtered.x", list(updated.mean), variant)
+        program.history("filtered.P", pack(updated.cov), variant)
+    if "innovation" in layout.keep:
+        m, most = len(innovation.residual), max(s.space.size for s in layout.sensors)
+        pad = [float("nan")] * (most - m)
+        program.history("residual", [*innovation.residual, *pad], variant)
+        full = np.zeros((most, most), dtype=object)
+        full[:m, :m] = innovation.S
+        program.history("S", pack(full), variant)
+        program.history("score", [innovation.nis, innovation.loglik, innovation.count], variant)
+
+
 def backward(layout: Layout) -> Program:
     """The smoother's recursion over stored filtered and predicted moments.
 
-    The moments predicted at step k + 1 are carried as a state; before the last step they equal the
-    carried smoothed ones, so that its smoothed moments are the filtered ones.
+    The moments predicted at step k + 1 are carried as a state, and so are its dt, t and u; before the
+    last step they equal the carried smoothed ones, so that its smoothed moments are the filtered ones.
     """
     program = Program(backward=True)
     c = _Composer(program, layout)
@@ -191,15 +290,15 @@ def backward(layout: Layout) -> Program:
 
     smoothed, ahead = gaussian("state", "smoothed"), gaussian("state", "ahead")
     filtered, predicted = gaussian("input", "filtered"), gaussian("input", "predicted")
-    carried = program.state("step", 1 + (layout.inputs or 0))
-    u = vector(carried[1:]) if layout.inputs else None
-    out = layout.smoother.step(filtered, ahead, smoothed, c.motion, carried[0], u, c.t)
+    carried = program.state("step", 2 + layout.inputs)
+    u = vector(carried[2:]) if layout.inputs else None
+    out = layout.smoother.step(filtered, ahead, smoothed, c.motion, carried[0], u, carried[1])
     _symbolic(layout.smoother, out.mean)
     program.set("smoothed.x", list(out.mean))
     program.set("smoothed.P", pack(out.cov))
     program.set("ahead.x", list(predicted.mean))
     program.set("ahead.P", pack(predicted.cov))
-    program.set("step", [c.dt, *([] if c.u is None else c.u)])
+    program.set("step", [c.dt, c.t, *([] if c.u is None else c.u)])
     if "smoothed" in layout.keep:
         program.history("out.x", list(out.mean))
         program.history("out.P", pack(out.cov))

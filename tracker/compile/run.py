@@ -52,12 +52,20 @@ def reason(estimator: Any) -> str:
     if not objects.available():
         why = "llvmlite is not installed (pip install 'tracker-lab[fast]')"
     else:
-        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _trial(
+        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _tried(
             _layout(estimator, {}, 0, ("filtered",))
         )
     if why and wanted == "require":
         raise CapabilityError(f"TRACKER_COMPILE=require, but this cannot be compiled: {why}.")
     return why
+
+
+def _tried(layout: Layout) -> str:
+    try:
+        hash(layout)
+    except TypeError as error:
+        return f"a component holds what cannot be a key for its compiled step ({error})"
+    return _trial(layout)
 
 
 @functools.lru_cache(maxsize=128)
@@ -218,6 +226,11 @@ def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | Non
     _prior(problem, prior, arrays)
     arrays["z"][:] = tile(_flat(record.z, 2, record.batch)[:, : arrays["z"].shape[2]])
     made.bind(arrays, problem.groups, len(record))(0, problem.groups)
+    return history_of(problem, arrays)
+
+
+def history_of(problem: _Problem, arrays: Mapping[str, Array]) -> History:
+    """What a forward program kept, as users see it."""
     score = problem.lanes_of(arrays["score"])
     innovation = Innovation(
         problem.lanes_of(arrays["residual"]),
@@ -234,7 +247,7 @@ def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | Non
         )
 
     return History(
-        record.t, trajectory("predicted"), trajectory("filtered"), innovation, u=record.u
+        problem.record.t, trajectory("predicted"), trajectory("filtered"), innovation, u=problem.record.u
     )
 
 
@@ -244,6 +257,9 @@ def _begin_backwards(arrays: dict[str, Array], n: int) -> None:
     for name in ("smoothed", "ahead"):
         arrays[f"{name}.x"][:] = 0.0
         arrays[f"{name}.P"][:] = unit
+    # A step of no length ends the record. It has a time that occurs: a model may be singular at 0.
+    t = arrays["t"]
+    arrays["step"][:, 1:2] = t[-1] if t.ndim == 2 else t[:, -1]
     if "final" in arrays:
         arrays["final"][:] = np.nan
 
