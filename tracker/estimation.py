@@ -132,8 +132,18 @@ class Estimator:
             measured; dt scalar or ``(*batch)`` seconds, not negative.
 
         Raises:
-            ShapeError, DomainError: on a measurement of the wrong shape, inf, or a negative dt.
+            ShapeError, DomainError: on a measurement of the wrong shape, inf, a negative dt, or a
+            sensor that is not there.
         """
+        if not 0 <= sensor < len(self.sensors):
+            raise DomainError(
+                wording(
+                    "argument 'sensor'",
+                    got=sensor,
+                    expected=f"0 to {len(self.sensors) - 1}",
+                    do="give the sensor's place among those of the estimator",
+                )
+            )
         model = self.sensors[sensor]
         values = z if isinstance(z, np.ndarray) else np.asarray(z, dtype=np.float64)
         if values.shape[:1] != (model.space.size,):
@@ -143,6 +153,16 @@ class Estimator:
                     got=f"shape {values.shape}",
                     expected=f"({model.space.size}, *batch): {model.space}",
                     do="give one row per component of the sensor's space",
+                )
+            )
+        lanes = state.moments().mean.shape[1:]
+        if values.shape[1:] != lanes:
+            raise ShapeError(
+                wording(
+                    "argument 'z'",
+                    got=f"shape {values.shape} for states of batch shape {lanes}",
+                    expected=f"{(model.space.size, *lanes)}",
+                    do="give one measurement per lane, NaN where there is none",
                 )
             )
         if _infinite(values):
@@ -285,7 +305,7 @@ def filter(  # noqa: A001 - the field's word
     Laws:
         bit-equal results for any batch of lanes; NaN components are not measured.
     """
-    prior = _fitting(estimator, record, prior, start)
+    prior = fitting(estimator, record, prior, start)
     if record.z.size and not compiled.reason(estimator):
         return compiled.filtered(estimator, record, prior, start)
     if record.batch and int(np.prod(record.batch)) == 1:
@@ -370,15 +390,17 @@ def tiles(batch: tuple[int, ...], n: int) -> list[Any]:
     most = max(2, LANE_BYTES // (8 * n * n))
     if len(batch) != 1 or batch[0] <= most:
         return [slice(None)]
-    count = -(-batch[0] // most)
+    count = min(-(-batch[0] // most), batch[0] // 2)
     return [slice(batch[0] * i // count, batch[0] * (i + 1) // count) for i in range(count)]
 
 
 # ------------------------------------------------------------------------------------- inside
-def _fitting(
-    estimator: Estimator, record: Record, prior: Gaussian, start: float | None
-) -> Gaussian:
-    """The prior over the record's lanes, after everything was checked that can be checked."""
+def fitting(estimator: Estimator, record: Record, prior: Gaussian, start: float | None) -> Gaussian:
+    """The prior over the record's lanes, after everything was checked that can be checked.
+
+    Raises:
+        ShapeError, DomainError: when record, prior and models do not fit together.
+    """
     space, batch = estimator.motion.space, record.batch
     if prior.n != space.size:
         raise ShapeError(
@@ -416,6 +438,15 @@ def _fitting(
             )
         )
     widest = max(s.space.size for s in estimator.sensors)
+    if record.sensor is None and len(estimator.sensors) > 1:
+        raise DomainError(
+            wording(
+                "argument 'record.sensor'",
+                got="nothing",
+                expected=f"which of the {len(estimator.sensors)} sensors measured at each step",
+                do="give the record a sensor index, or the estimator one stack of sensors",
+            )
+        )
     if record.sensor is not None and len(record):
         last = int(record.sensor.max())
         if last >= len(estimator.sensors) or int(record.sensor.min()) < 0:
@@ -548,6 +579,7 @@ __all__ = [
     "check_capabilities",
     "estimator",
     "filter",
+    "fitting",
     "missing_capabilities",
     "record_lanes",
     "smooth",

@@ -78,15 +78,15 @@ class Scores:
     @property
     def mean_nees(self) -> float:
         """Mean NEES over the steps and the finite runs; n if consistent."""
-        return float(np.nanmean(self.per_step["nees"]))
+        values = self.per_step["nees"]
+        values = values[np.isfinite(values)]
+        return float(values.mean()) if values.size else np.nan
 
     @property
     def nees_share(self) -> float:
-        """Share of steps whose mean NEES lies in its own 95 % band."""
-        inside = [
-            self.nees_band(k).low <= value <= self.nees_band(k).high
-            for k, value in enumerate(self.per_step["nees"])
-        ]
+        """Share of steps whose mean NEES lies in its own 95 % band; NaN if no run was finite."""
+        bands = ((self.nees_band(k), v) for k, v in enumerate(self.per_step["nees"]))
+        inside = [band.low <= v <= band.high for band, v in bands if np.isfinite(v)]
         return float(np.mean(inside)) if inside else np.nan
 
     @property
@@ -313,13 +313,22 @@ def monte_carlo(
     result. ``condition`` numbers the cell of a study.
 
     Raises:
-        DomainError: for a number of runs or workers below one.
+        DomainError: for a number of runs or workers below one, or a scenario without steps.
     """
     for name, value in (("runs", runs), ("workers", workers), ("chunk", chunk or 1)):
         if value < 1:
             raise DomainError(
                 wording(f"argument {name!r}", got=value, expected="at least 1", do="pass more")
             )
+    if not len(scenario.t):
+        raise DomainError(
+            wording(
+                f"scenario {scenario.name!r}",
+                got="no measurement times",
+                expected="at least one step to score",
+                do="give it times t",
+            )
+        )
     named = {"estimator": estimators} if isinstance(estimators, Estimator) else dict(estimators)
     size = chunk or max(BLOCK, estimation.LANE_BYTES // (8 * scenario.motion.space.size**2))
     size = size // BLOCK * BLOCK if chunk is None else -(-size // BLOCK) * BLOCK
@@ -371,6 +380,7 @@ def _chunk(
     simulation = scenario.simulate(seed, runs, condition=condition)
     out = {}
     for name, built in estimators.items():
+        estimation.fitting(built, simulation.record, simulation.prior, simulation.start)
         if not compiled.reason(built) and (
             built.smoother is None or not compiled.why_not_backwards(built)
         ):
@@ -421,7 +431,9 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
     score = nees(errors, estimate.cov)
     innovation = history.innovation
     nothing = np.full(squared.shape, np.nan)
-    nis = nothing if smooth else innovation.nis
+    nis, count, loglik = (
+        (nothing,) * 3 if smooth else (innovation.nis, innovation.count, innovation.loglik)
+    )
     finite = np.isfinite(squared) & np.isfinite(score)
     with np.errstate(all="ignore"):
         per_run = {
@@ -429,14 +441,14 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
             "final_error": np.sqrt(squared[-1]),
             "nees": _time_mean(score),
             "nis": _time_sum(nis),
-            "count": _time_sum(innovation.count),
-            "loglik": _time_sum(innovation.loglik),
+            "count": _time_sum(count),
+            "loglik": _time_sum(loglik),
         }
     values = {
         "squared_error": squared,
         "nees": score,
         "nis": nis,
-        "count": innovation.count,
+        "count": count,
         "finite": finite.astype(np.float64),
     }
     partial = {k: _blocks(np.where(finite, v, 0.0)) for k, v in values.items()}

@@ -154,7 +154,7 @@ class Scenario:
         ``runs`` is a count or the numbers of the runs wanted. The same seed, run and condition give
         the same bits in any company.
         """
-        numbers = tuple(range(runs)) if isinstance(runs, int) else tuple(runs)
+        numbers = tuple(range(runs)) if isinstance(runs, (int, np.integer)) else tuple(runs)
         n, steps = self.motion.space.size, len(self.t)
         truth = np.empty((steps, n, len(numbers)))
         z = np.empty((steps, self.sensor.space.size, len(numbers)))

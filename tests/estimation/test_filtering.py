@@ -8,6 +8,7 @@ from hypothesis import given
 
 import tracker as tk
 from tracker.errors import CapabilityError, DomainError, ShapeError, UnknownComponent
+from tracker.estimation import tiles
 from tracker.models import ComponentSensor, diagonal
 from tracker_motion.constant_velocity import constant_velocity
 from tracker_sensors.azimuth import azimuth
@@ -304,6 +305,7 @@ def test_a_third_partys_matrix_without_batch_axes_is_refused_instead_of_broadcas
         ([0.1], 0.1, ShapeError, "one row per component"),
         ([np.inf, 0.1], 0.1, DomainError, "NaN"),
         ([0.1, 0.1], -1.0, DomainError, "not negative"),
+        ([[0.1, 0.1], [0.1, 0.1]], 0.1, ShapeError, "one measurement per lane"),
     ],
 )
 def test_a_wrong_on_line_step_leaves_nothing_half_done(z, dt, error, words):
@@ -329,3 +331,37 @@ def test_a_hand_given_jacobian_serves_an_opaque_sensor():
     mine = tk.filter(tk.estimator(motion=MOTION, sensor=sensor), record, PRIOR)
     own = tk.estimator(motion=MOTION, sensor=azimuth(0.02).at(sx=-1.0, sy=-2.0))
     np.testing.assert_allclose(mine.filtered.mean, tk.filter(own, record, PRIOR).filtered.mean)
+
+
+def test_a_measurement_of_one_target_is_not_spread_over_as_many_lanes_as_it_has_components():
+    pair = tk.Gaussian(np.zeros((4, 2)), np.eye(4))
+    with pytest.raises(ShapeError, match=r"expected \(2, 2\)"):
+        estimator().step(pair, [0.1, 0.2], 0.1)
+
+
+@pytest.mark.parametrize("place", [-1, 1])
+def test_an_on_line_step_of_a_sensor_that_is_not_there_is_refused(place):
+    with pytest.raises(DomainError, match="0 to 0"):
+        estimator().step(PRIOR, [0.1, 0.1], 0.1, sensor=place)
+
+
+def test_a_record_for_several_sensors_must_say_which_one_measured():
+    est = estimator(sensor=[position(1.0), position(9.0)])
+    with pytest.raises(DomainError, match="which of the 2 sensors"):
+        tk.filter(est, bearings(3), PRIOR)
+
+
+def test_a_state_that_is_not_finite_is_flagged_alike_alone_and_among_lanes():
+    broken = tk.Gaussian.trusted(np.array([0.0, 0.0, np.nan, 0.0]), np.diag([1.0, 1.0, 0.0, 1.0]))
+    est = estimator(sensor=position(1.0))
+    _, alone = est.step(broken, [0.1, 0.2], 0.0)
+    _, lanes = est.step(broken[..., None][..., [0, 0]], np.full((2, 2), 0.1), 0.0)
+    assert not alone.ok
+    assert not lanes.ok.any()
+
+
+def test_no_tile_holds_one_lane_alone():
+    for lanes in range(2, 40):
+        widths = [len(range(lanes)[tile]) for tile in tiles((lanes,), 75)]
+        assert min(widths) > 1
+        assert sum(widths) == lanes

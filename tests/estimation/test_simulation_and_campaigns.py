@@ -11,6 +11,10 @@ import tracker as tk
 from tracker.errors import ConfigError, DomainError, ShapeError, UnknownComponent
 from tracker.metrics.consistency import chi_square_band, mean_interval, nees
 from tracker.simulation import stream
+from tracker_motion.constant_velocity import constant_velocity
+from tracker_sensors.azimuth import azimuth
+from tracker_sensors.range_only import range_only
+from tracker_sensors.stack import stack
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +191,45 @@ def test_the_summary_of_a_consistent_filter_warns_of_nothing():
 def test_counts_below_one_are_refused(est, scene, argument):
     with pytest.raises(DomainError, match=argument):
         tk.monte_carlo(est, scene, **{argument: -1})
+
+
+def test_a_campaign_refuses_what_a_record_would_refuse(scene):
+    wrong = tk.estimator(motion=scene.motion, sensor=azimuth(0.1).at(sx=0.0, sy=0.0))
+    late = attrs.evolve(scene, prior_time=99.0)
+    wide = tk.scenario("line", steps=3)
+    est = tk.estimator(motion=wide.motion, sensor=stack([wide.sensor, wide.sensor]))
+    with pytest.raises(ShapeError, match="pad rows"):
+        tk.monte_carlo(est, wide, runs=2)
+    with pytest.raises(DomainError, match="start"):
+        tk.monte_carlo(wrong, late, runs=2)
+
+
+def test_a_scenario_without_steps_has_nothing_to_score(est, scene):
+    with pytest.raises(DomainError, match="no measurement times"):
+        tk.monte_carlo(est, attrs.evolve(scene, t=[], path=None), runs=2)
+
+
+def test_a_campaign_in_which_every_run_diverged_is_not_called_underconfident():
+    at = np.array([3.0, 4.0, 0.0, 0.0])
+    sensor = range_only(1.0).at(sx=0.0, sy=0.0)
+    blind = tk.Scenario(  # no direction at the place of the sensor: derivatives are NaN
+        name="blind", motion=constant_velocity(0.1), sensor=sensor, t=[0.0, 1.0],
+        prior=tk.Gaussian(np.zeros(4), np.zeros((4, 4))), initial="fixed", start=at,
+    )  # fmt: skip
+    est = tk.estimator(motion=blind.motion, sensor=sensor)
+    campaign = tk.monte_carlo(est, blind, runs=3)
+    assert [w for w in campaign.warnings() if "confident" in w] == []
+    assert "3 of 3" in campaign.summary()
+
+
+def test_a_smoother_has_no_innovations(est, scene):
+    scores = tk.monte_carlo(est, scene, runs=3).scores["estimator"]["smoother"]
+    for name in ("nis", "count", "loglik"):
+        assert np.isnan(scores.per_run[name]).all(), name
+
+
+def test_runs_may_be_counted_by_a_numpy_integer(scene):
+    assert scene.simulate(1, np.int64(3)).runs == (0, 1, 2)
 
 
 def test_estimators_and_scenarios_travel_to_other_processes(est, scene):

@@ -96,6 +96,8 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         return nan, np.full_like(cov, math.nan), math.nan, math.nan, float(len(v))
     y = dtrtrs(L, v, 1)[0]
     W = dtrtrs(L, HP, 1)[0]
-    nis = float(y.dot(y))
-    loglik = -0.5 * (nis + 2.0 * math.log(math.prod(L.diagonal().tolist())) + LOG_TAU * len(v))
-    return mean + y.dot(W), cov - W.T.dot(W), nis, loglik, float(len(v))
+    mean = mean + y.dot(W)
+    nis = float(y.dot(y)) + 0.0 * sum(mean.tolist())  # NaN where the mean is not finite
+    # A product of many small pivots would underflow to zero.
+    loglik = -0.5 * (nis + 2.0 * sum(map(math.log, L.diagonal().tolist())) + LOG_TAU * len(v))
+    return mean, cov - W.T.dot(W), nis, loglik, float(len(v))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tracker.algebra import residual
 from tracker.types import Array, Space
 
 
@@ -15,12 +16,9 @@ def error(truth: Array, mean: Array, space: Space) -> Array:
     Shapes:
         truth, mean ``(T, n, *batch)``; result alike.
     """
-    difference = mean - truth
-    for i, flag in enumerate(space.circular):
-        if flag:
-            angle = difference[:, i]
-            difference[:, i] = angle - 2.0 * np.pi * np.ceil(angle / (2.0 * np.pi) - 0.5)
-    return difference
+    flags = space.circular if any(space.circular) else False
+    first = residual(np.moveaxis(mean, 1, 0), np.moveaxis(truth, 1, 0), flags)
+    return np.moveaxis(first, 0, 1)
 
 
 def squared_position_error(errors: Array, space: Space) -> Array:
