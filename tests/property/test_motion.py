@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tracker.errors import CapabilityError, DomainError, ShapeError
+from tracker.models import ComponentMotion
 from tracker.types import Space
 from tracker_motion import (
     acceleration_input,
@@ -289,3 +290,13 @@ def test_errors_name_the_argument_what_it_was_and_the_way_out(call, error, words
         call()
     missing = [word for word in words if word not in str(raised.value)]
     assert not missing, f"the message should say {missing}: {raised.value}"
+
+
+def test_noise_that_asks_for_what_Q_is_not_given_is_refused_instead_of_answered_with_zero():
+    with pytest.raises(CapabilityError, match=r"noise: got .* asks for t"):
+        ComponentMotion(
+            name="aging",
+            advance=lambda x, vx, *, dt, t: (x + dt * vx, vx),
+            noise=lambda *, dt, t: ((dt * t, 0.0), (0.0, dt * t)),
+            space=LINE,
+        )

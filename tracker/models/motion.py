@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from tracker.errors import CapabilityError, ShapeError, wording
-from tracker.models.component import Author, ComponentFunction
+from tracker.models.component import KEPT, Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
 from tracker.types import EMPTY_SPACE, ArrayLike, Space
 
@@ -30,9 +30,9 @@ class ComponentMotion:
 
     ``advance(x, y, ..., *, dt, ...)`` returns the state after ``dt`` seconds, one entry per
     component of ``space``. ``noise(..., *, dt, ...)`` returns the covariance Q of what is added to
-    it, as rows. Positional parameters name components of ``space``; keyword-only ones are ``dt``,
-    ``t`` (the time at the start of the step), components of ``input_space``, or entries of
-    ``parameters``.
+    it, as rows. Positional parameters name components of ``space``; keyword-only ones are ``dt`` or
+    entries of ``parameters`` and, of ``advance`` alone, ``t`` (the time at the start of the step) or
+    components of ``input_space``.
 
     Shapes:
         x ``(n, *batch)``; dt scalar or ``(*batch)``; u ``(q,)`` or ``(q, *batch)``; parameters
@@ -51,7 +51,7 @@ class ComponentMotion:
     )
     _advance: ComponentFunction = attrs.field(init=False, repr=False, default=_function("advance"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
-    # With neither inputs nor time, keyword values change with dt alone: those of the last dt are
+    # With neither inputs nor time, keyword values change with dt alone: those of a few dt are
     # kept, so that what follows from them (F, Q) is recognised and not computed again.
     _steady: bool = attrs.field(init=False, repr=False)
     _recent: dict[float, MappingProxyType[str, Any]] = attrs.field(
@@ -60,8 +60,7 @@ class ComponentMotion:
 
     @_steady.default
     def _changes_with_dt_alone(self) -> bool:
-        timed = "t" in self._advance.keywords or "t" in self._noise.keywords
-        return not timed and not self.input_space.axes
+        return "t" not in self._advance.keywords and not self.input_space.axes
 
     def __attrs_post_init__(self) -> None:
         known = {*RESERVED, *self.input_space.names, *self.parameters}
@@ -73,6 +72,16 @@ class ComponentMotion:
                     got=f"functions that ask for {', '.join(sorted(asked - known))}",
                     expected=f"names among {', '.join(sorted(known))}",
                     do="add them to input_space or to parameters",
+                )
+            )
+        unknown_to_noise = {"t", *self.input_space.names}.intersection(self._noise.keywords)
+        if unknown_to_noise:
+            raise CapabilityError(
+                wording(
+                    f"motion {self.name!r}: noise",
+                    got=f"a function that asks for {', '.join(sorted(unknown_to_noise))}",
+                    expected="components of the state, dt and parameters: Q(x, dt) is given no more",
+                    do="make it a parameter, or a component of the state",
                 )
             )
         if self._advance.traced and len(self._advance.trace.roots) != self.space.size:
@@ -160,7 +169,8 @@ class ComponentMotion:
             found = self._recent.get(dt)
             if found is None:
                 found = MappingProxyType(self.parameters | {"dt": float(dt), "t": 0.0})
-                self._recent.clear()
+                if len(self._recent) >= KEPT:
+                    self._recent.clear()
                 self._recent[dt] = found
             return found
         out: dict[str, Any] = {**self.parameters, "dt": dt, "t": 0.0 if t is None else t}
