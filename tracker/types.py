@@ -29,23 +29,45 @@ _AXIS = re.compile(
 )
 
 
+_NOT_NUMBERS = {
+    "M": "dates: pass seconds, (t - t[0]) / np.timedelta64(1, 's')",
+    "m": "durations: pass seconds, t / np.timedelta64(1, 's')",
+    "c": "complex numbers: pass real and imaginary parts as components",
+    "U": "texts: convert them with float()",
+    "S": "bytes: convert them with float()",
+}
+
+
+def brief(value: Any) -> str:
+    """An array as a person wants to see it inside another value: small ones whole, else the shape."""
+    if isinstance(value, np.ndarray) and value.size > 16:
+        return f"<{'x'.join(map(str, value.shape))} numbers>"
+    return repr(value)
+
+
 def as_array(value: ArrayLike, name: str) -> Array:
     """``value`` as float64, refusing what is not a real number.
 
     Raises:
         DomainError: if ``value`` holds something that is not a real number.
     """
+    if isinstance(value, np.ma.MaskedArray):  # what is masked was not measured
+        value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
-        return np.asarray(value, dtype=np.float64)
+        raw = np.asarray(value)
+        reason = _NOT_NUMBERS.get(raw.dtype.kind, "")
+        if not reason:
+            return raw.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
-        raise DomainError(
-            wording(
-                f"argument {name!r}",
-                got=repr(value)[:80],
-                expected="real numbers in a regular array",
-                do=f"pass floats or a float64 array ({error})",
-            )
-        ) from None
+        reason = str(error)
+    raise DomainError(
+        wording(
+            f"argument {name!r}",
+            got=repr(value)[:80],
+            expected="real numbers in a regular array, NaN where nothing is known",
+            do=f"pass floats or a float64 array ({reason})",
+        )
+    )
 
 
 # ------------------------------------------------------------------------------------ spaces
@@ -184,9 +206,14 @@ SPATIAL = Space.of("x [m]", "y [m]", "z [m]", "vx [m/s]", "vy [m/s]", "vz [m/s]"
 
 
 # ----------------------------------------------------------------------------------- Gaussians
+def _either(one: tuple[int, ...], other: tuple[int, ...]) -> str:
+    return f"{one}" if one == other else f"{one} or {other}"
+
+
 def _checked_covariance(cov: Array, mean: Array) -> Array:
     n, batch = mean.shape[0], mean.shape[1:]
-    expected = f"shape ({n}, {n}) or {(n, n, *batch)}, to match mean of shape {mean.shape}"
+    shapes = _either((n, n), (n, n, *batch))
+    expected = f"shape {shapes}, to match mean of shape {mean.shape}"
     if cov.shape == (n, n) and batch:
         cov = np.broadcast_to(cov.reshape(n, n, *(1,) * len(batch)), (n, n, *batch))
     if cov.shape != (n, n, *batch):
@@ -255,8 +282,8 @@ class Gaussian:
     (2, (), [1.0, 2.0])
     """
 
-    mean: Array
-    cov: Array
+    mean: Array = attrs.field(repr=brief)
+    cov: Array = attrs.field(repr=brief)
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
         mean = np.array(as_array(mean, "mean"))
@@ -349,7 +376,7 @@ class Columns:
         ``width`` columns. Trailing axes of length 1 are shared by all lanes.
     """
 
-    entries: Array
+    entries: Array = attrs.field(repr=brief)
     columns: tuple[int, ...]
     width: int
 
@@ -364,12 +391,33 @@ class Columns:
 
 
 # ------------------------------------------------------------------------------- measurements
+def _forwards(times: Array) -> None:
+    """Refuse times that are not finite or run backwards."""
+    lanes = tuple(range(1, times.ndim))
+    unknown = ~np.isfinite(times).all(axis=lanes)
+    back = np.zeros(len(times), dtype=np.bool_)
+    back[1:] = (np.diff(times, axis=0) < 0).any(axis=lanes)
+    for bad, got, do in (
+        (unknown, "NaN or inf", "leave out rows without a time"),
+        (back, "a time before that of the row above", "sort the record by time"),
+    ):
+        if bad.any():
+            raise DomainError(
+                wording(
+                    "argument 't'",
+                    got=f"{got} in row {int(bad.argmax())}",
+                    expected="finite seconds that never decrease",
+                    do=do,
+                )
+            )
+
+
 def _no_infinity(z: Array, name: str) -> None:
     if np.isinf(z).any():
         raise DomainError(
             wording(
                 f"argument {name!r}",
-                got="an infinite value",
+                got=f"an infinite value at index {np.argwhere(np.isinf(z))[0].tolist()}",
                 expected="finite numbers, or NaN where nothing was measured",
                 do="replace inf by NaN if the measurement is missing",
             )
@@ -392,11 +440,11 @@ class Record:
         ShapeError: if shapes do not fit. DomainError: on inf, or when time runs backwards.
     """
 
-    t: Array
-    z: Array
-    u: Array | None = None
-    pose: Array | None = None
-    sensor: npt.NDArray[np.intp] | None = None
+    t: Array = attrs.field(repr=brief)
+    z: Array = attrs.field(repr=brief)
+    u: Array | None = attrs.field(default=None, repr=brief)
+    pose: Array | None = attrs.field(default=None, repr=brief)
+    sensor: npt.NDArray[np.intp] | None = attrs.field(default=None, repr=brief)
 
     def __init__(
         self,
@@ -422,19 +470,12 @@ class Record:
                 wording(
                     "argument 't'",
                     got=f"shape {times.shape}",
-                    expected=f"({steps},) or {(steps, *batch)}, as z has shape {values.shape}",
-                    do="give one time per measurement row",
+                    expected=_either((steps,), (steps, *batch))
+                    + f", as z has shape {values.shape}",
+                    do="give one time per measurement row; z has time first, components second",
                 )
             )
-        if not np.isfinite(times).all() or (np.diff(times, axis=0) < 0).any():
-            raise DomainError(
-                wording(
-                    "argument 't'",
-                    got="times that are not finite or run backwards",
-                    expected="finite seconds that never decrease",
-                    do="sort the record by time",
-                )
-            )
+        _forwards(times)
         _no_infinity(values, "z")
         arrays: dict[str, Array] = {}
         for name, extra in (("u", u), ("pose", pose)):
@@ -447,7 +488,7 @@ class Record:
                     wording(
                         f"argument {name!r}",
                         got=f"shape {array.shape}",
-                        expected=f"({steps}, k) or {(steps, 'k', *batch)}",
+                        expected=f"({steps}, k)" + (f" or ({steps}, k, *{batch})" if batch else ""),
                         do="give one row per measurement row",
                     )
                 )
@@ -499,9 +540,9 @@ class Scan:
     """
 
     t: float
-    z: Array
-    mask: npt.NDArray[np.bool_]
-    pose: Array | None = None
+    z: Array = attrs.field(repr=brief)
+    mask: npt.NDArray[np.bool_] = attrs.field(repr=brief)
+    pose: Array | None = attrs.field(default=None, repr=brief)
     sensor: str = ""
 
     def __init__(
@@ -554,9 +595,9 @@ class Projection:
         ``(n, m, *batch)`` covariance of state and measurement.
     """
 
-    z: Array
-    S: Array
-    cross: Array
+    z: Array = attrs.field(repr=brief)
+    S: Array = attrs.field(repr=brief)
+    cross: Array = attrs.field(repr=brief)
 
 
 @attrs.frozen(eq=False)
@@ -570,12 +611,12 @@ class Innovation:
         History each has a leading time axis.
     """
 
-    residual: Array
-    S: Array
-    nis: Array
-    loglik: Array
-    count: Array
-    ok: npt.NDArray[np.bool_]
+    residual: Array = attrs.field(repr=brief)
+    S: Array = attrs.field(repr=brief)
+    nis: Array = attrs.field(repr=brief)
+    loglik: Array = attrs.field(repr=brief)
+    count: Array = attrs.field(repr=brief)
+    ok: npt.NDArray[np.bool_] = attrs.field(repr=brief)
 
 
 @attrs.frozen(eq=False)
@@ -587,7 +628,7 @@ class Association:
         association is one-hot.
     """
 
-    weights: Array
+    weights: Array = attrs.field(repr=brief)
 
     @property
     def hard(self) -> npt.NDArray[np.intp]:
@@ -619,8 +660,8 @@ class Trajectory:
         mean ``(T, n, *batch)``; cov ``(T, n, n, *batch)``.
     """
 
-    mean: Array
-    cov: Array
+    mean: Array = attrs.field(repr=brief)
+    cov: Array = attrs.field(repr=brief)
 
     def at(self, step: int) -> Gaussian:
         """The estimate of one step."""
@@ -644,12 +685,12 @@ class History:
         a leading time axis; u ``(T, q, *batch)`` the inputs that were used, or None.
     """
 
-    t: Array
+    t: Array = attrs.field(repr=brief)
     predicted: Trajectory
     filtered: Trajectory
     innovation: Innovation
     smoothed: Trajectory | None = None
-    u: Array | None = None
+    u: Array | None = attrs.field(default=None, repr=brief)
 
     @property
     def estimate(self) -> Trajectory:

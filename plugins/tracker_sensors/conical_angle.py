@@ -102,5 +102,6 @@ def conical_angle(
         space=_SPACE[form],
         pose_space=_POSE[axes],
         state=state or (SPATIAL if axes == 3 else PLANAR),
+        planar=axes == 2,
         parameters={"sigma": positive("sigma", sigma, unit="rad" if form == "angle" else "")},
     )

@@ -86,6 +86,7 @@ def doppler_frequency(
         space=Space.of("frequency [Hz]"),
         pose_space=_POSE[axes],
         state=state or (SPATIAL if axes == 3 else PLANAR),
+        planar=axes == 2,
         parameters={
             "sigma": positive("sigma", sigma, unit="Hz"),
             "carrier": positive("carrier", carrier, unit="Hz"),

@@ -54,5 +54,6 @@ def range_only(
         space=Space.of("range [m]"),
         pose_space=_POSE[axes],
         state=state or (SPATIAL if axes == 3 else PLANAR),
+        planar=axes == 2,
         parameters={"sigma": positive("sigma", sigma, unit="m")},
     )

@@ -71,5 +71,6 @@ def range_rate(
         space=Space.of("range_rate [m/s]"),
         pose_space=_POSE[axes],
         state=state or (SPATIAL if axes == 3 else PLANAR),
+        planar=axes == 2,
         parameters={"sigma": positive("sigma", sigma, unit="m/s")},
     )

@@ -58,6 +58,7 @@ def stack(
         space=_suffixed((p.space for p in traced), suffixes),
         pose_space=_suffixed((p.pose_space for p in traced), suffixes),
         state=state,
+        planar=any(p.planar for p in traced),
         parts=tuple(dict.fromkeys(name for p in traced for name in (p.parts or (p.name,)))),
         parameters={
             name + suffix: value

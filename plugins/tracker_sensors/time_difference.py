@@ -136,6 +136,7 @@ def time_difference(
         space=Space(tuple(Axis(f"delay_{i}", "s") for i in range(2, count + 1))),
         pose_space=Space(tuple(Axis(name, "m") for name in measure.pose)),
         state=state or (SPATIAL if axes == 3 else PLANAR),
+        planar=axes == 2,
         parameters={
             "sigma": positive("sigma", sigma, unit="s"),
             "speed": positive("speed", speed, unit="m/s"),

@@ -106,3 +106,40 @@ def test_values_show_themselves_in_notebooks():
     state = tk.Gaussian([1.0], [[4.0]])
     assert "<table>" in state._repr_html_()
     assert "batch (3,)" in tk.Gaussian(np.zeros((1, 3)), [[1.0]])._repr_html_()
+
+
+def test_what_is_masked_was_not_measured():
+    z = np.ma.masked_array([[1.0, 2.0]], mask=[[False, True]])
+    np.testing.assert_array_equal(tk.Record([0.0], z).z, [[1.0, np.nan]])
+
+
+@pytest.mark.parametrize(
+    ("t", "z", "words"),
+    [
+        (np.array(["2020-01-01"], "datetime64[s]"), [[1.0]], "pass seconds"),
+        ([0.0], [["1"]], r"float\(\)"),
+        ([0.0], [[1j]], "real and imaginary"),
+        ([0.0, np.nan], [[1.0], [2.0]], "row 1"),
+        ([0.0, 1.0, 0.5], [[1.0], [2.0], [3.0]], "row 2"),
+    ],
+)
+def test_what_is_no_number_is_refused_with_the_way_to_make_it_one(t, z, words):
+    with pytest.raises(DomainError, match=words):
+        tk.Record(t, z)
+
+
+def test_long_values_print_short():
+    record = tk.scenario("two_stations").simulate(1, 3).record
+    assert repr(record) == (
+        "Record(t=<500 numbers>, z=<500x2x3 numbers>, u=None, pose=None, sensor=None)"
+    )
+
+
+def test_a_planar_range_is_not_moved_to_states_with_a_height():
+    from tracker_sensors.range_only import range_only
+
+    from tracker.errors import CapabilityError
+
+    with pytest.raises(CapabilityError, match="axes=3"):
+        range_only(1.0).over(tk.SPATIAL)
+    assert range_only(1.0, state=tk.SPATIAL).h([3.0, 4.0, 12.0, 0, 0, 0], [0.0, 0.0])[0] == 5.0

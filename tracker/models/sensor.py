@@ -13,12 +13,15 @@ from tracker.algebra import residual
 from tracker.errors import CapabilityError, ShapeError, wording
 from tracker.models.component import Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
-from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Space
+from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Columns, Space
 
 
 def _function(author: str) -> Any:
-    def build(self: ComponentSensor) -> ComponentFunction:
-        return ComponentFunction(getattr(self, author), self.state.names, f"sensor {self.name!r}")
+    def build(self: ComponentSensor) -> ComponentFunction | None:
+        function = getattr(self, author)
+        if function is None:
+            return None
+        return ComponentFunction(function, self.state.names, f"sensor {self.name!r}")
 
     return attrs.Factory(build, takes_self=True)
 
@@ -33,7 +36,8 @@ class ComponentSensor:
     ``pose_space`` or entries of ``parameters``. Functions from `tracker.models` make it traceable;
     one that cannot be traced still measures, but has no derivatives unless ``derivative``, a
     function with the signature of ``measure`` that returns rows, gives them. ``parts`` names the
-    registered sensors that this one was made of, for `Estimator.cite`.
+    registered sensors that this one was made of, for `Estimator.cite`. A ``planar`` sensor, whose
+    measurement would be wrong where targets have a height, cannot be moved to states with z.
 
     Shapes:
         x ``(n, *batch)``; pose ``(p,)`` or ``(p, *batch)``; parameters scalars or ``(*batch)``.
@@ -67,8 +71,12 @@ class ComponentSensor:
     )
     derivative: Author | None = attrs.field(default=None, repr=False)
     parts: tuple[str, ...] = attrs.field(default=(), repr=False)
+    planar: bool = attrs.field(default=False, repr=False)
     _measure: ComponentFunction = attrs.field(init=False, repr=False, default=_function("measure"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
+    _by_hand: ComponentFunction | None = attrs.field(
+        init=False, repr=False, default=_function("derivative")
+    )
     _circular: bool | tuple[bool, ...] = attrs.field(init=False, repr=False)
 
     @_circular.default
@@ -130,8 +138,12 @@ class ComponentSensor:
         """`h` and its Jacobian together; the Jacobian in the sparse form that the algebra takes."""
         state = shaped(x, self.state, "x", self.name)
         keywords = self._keywords(pose)
-        if self.derivative is not None:
-            return self._measure.evaluate(state, keywords), self._first(state, keywords)
+        if self._by_hand is not None:
+            value, first = self._measure.evaluate(state, keywords), self._by_hand
+            if state.ndim == 1:
+                return value, self._first(state, keywords)
+            entries = first.evaluate(state, keywords)
+            return value, Columns(entries, first.places, self.state.size)
         self._need_trace("a Jacobian")
         return self._measure.linearise(state, keywords)
 
@@ -145,7 +157,20 @@ class ComponentSensor:
 
     # -------------------------------------------------------------- another one like it
     def over(self, state: Space) -> ComponentSensor:
-        """The same sensor reading states of another space; components are found by name."""
+        """The same sensor reading states of another space; components are found by name.
+
+        Raises:
+            CapabilityError: if ``state`` lacks a component, or a planar sensor would see a height.
+        """
+        if self.planar and "z" in state.names and "z" not in self.state.names:
+            raise CapabilityError(
+                wording(
+                    f"sensor {self.name!r}",
+                    got=f"states with a height ({state})",
+                    expected="states in the plane: it was made with axes=2",
+                    do="make it with axes=3, or with state=... if horizontal distances are meant",
+                )
+            )
         return self if state == self.state else attrs.evolve(self, state=state)
 
     def at(self, **pose: Any) -> ComponentSensor:
@@ -200,13 +225,12 @@ class ComponentSensor:
         return {**self.parameters, **dict(zip(names, values, strict=True))}
 
     def _first(self, state: Any, keywords: Mapping[str, Any]) -> Any:
-        if self.derivative is not None:
-            function = ComponentFunction(self.derivative, self.state.names, f"sensor {self.name!r}")
-            small = function.evaluate(state, keywords)
-            if function.places == tuple(range(self.state.size)):
+        if self._by_hand is not None:
+            places, small = self._by_hand.places, self._by_hand.evaluate(state, keywords)
+            if places == tuple(range(self.state.size)):
                 return small
             dense = np.zeros((small.shape[0], self.state.size, *small.shape[2:]), dtype=small.dtype)
-            dense[:, function.places] = small
+            dense[:, places] = small
             return dense
         self._need_trace("a Jacobian")
         return self._measure.first(state, keywords)
