@@ -202,7 +202,7 @@ OFF_KINKS = {"DiracDelta": lambda *_: 0}
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
-@given(trees((*SMOOTH_UNARY, "absolute"), (*SMOOTH_BINARY, "minimum", "maximum"), 4), points)
+@given(trees((*SMOOTH_UNARY, "absolute"), (*SMOOTH_BINARY, "minimum", "maximum"), 3), points)
 def test_derivatives_are_those_of_sympy(tree: Any, point: tuple[float, ...]) -> None:
     trace = Trace(author(tree))
     whole = sympy.sympify(build(tree, SYMBOLS, SYMBOLIC))
