@@ -15,6 +15,7 @@ import numpy as np
 
 from tracker.algebra import at_once
 from tracker.algebra.lanes import BUFFER
+from tracker.compile import mixed
 from tracker.compile import run as compiled
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.protocols import Filter, MotionModel, SensorModel, Smoother
@@ -221,6 +222,8 @@ class Estimator:
             reason = getattr(model, "why_opaque", "it is not written over components")
             lines.append(f"{role} {name}: {'opaque, ' + reason if reason else 'traced'}")
         return "\n".join(lines)
+        if why and not mixed.reason(self):
+            lines = [f"runs as compiled steps around a sensor on arrays: {why}"]
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -313,6 +316,8 @@ def filter(  # noqa: A001 - the field's word
         return _history_lanes(wide, slice(0, 1))
     history = _allocated(estimator, record, prior)
     with at_once():
+    if record.z.size and not mixed.reason(estimator):
+        return mixed.filtered(estimator, record, prior, start)
         for tile in tiles(record.batch, prior.n):
             part, some, whole = _tile(estimator, record, prior, history, tile)
             for k, _, predicted, state, innovation in steps(part, some[0], some[1], start):

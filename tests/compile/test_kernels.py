@@ -363,7 +363,7 @@ def test_what_cannot_be_compiled_runs_on_arrays_and_says_why(monkeypatch):
     est = tk.estimator(motion=constant_velocity(density=0.1), sensor=sensor)
     monkeypatch.setenv("TRACKER_COMPILE", "on")
     assert "np.* was called" in run.reason(est)
-    assert "runs on arrays: sensor 'foreign' is opaque" in est.explain()
+    assert "around a sensor on arrays: sensor 'foreign' is opaque" in est.explain()
     record = tk.Record([1.0], np.zeros((1, 1)))
     assert tk.filter(est, record, tk.Gaussian([1.0, 0, 0, 0], np.eye(4))).innovation.ok.all()
     monkeypatch.setenv("TRACKER_COMPILE", "require")

@@ -42,7 +42,7 @@ class Layout:
 
 def structure(component: Any) -> Any:
     """What a component bakes into a program: everything but the values of its parameters."""
-    if component is None or not attrs.has(type(component)):
+    if isinstance(component, Linearised) or not attrs.has(type(component)):
         return component
     fields = [f.name for f in attrs.fields(type(component)) if f.init and f.name != "parameters"]
     values = tuple(getattr(component, name.lstrip("_")) for name in fields)

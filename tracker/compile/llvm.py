@@ -305,6 +305,21 @@ def emit(program: Program) -> str:
     return "\n".join([*head, *w.lines]) + "\n"
 
 
+def _fits(name: str, array: Array | None, shape: tuple[int, ...]) -> None:
+    """Refuse an array that the code would address wrongly."""
+    good = array is not None and array.shape == shape and array.dtype == np.float64
+    if array is None or not good or not array.flags.c_contiguous:
+        got = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
+        raise ShapeError(
+            wording(
+                f"kernel array {name!r}",
+                got=got,
+                expected=f"contiguous float64 of shape {shape}",
+                do="allocate it as Program.shapes says",
+            )
+        )
+
+
 class Kernel:
     """A compiled program. ``bind`` checks arrays once and returns the call.
 
@@ -331,19 +346,35 @@ class Kernel:
             ShapeError: on an array whose shape, type or layout is not what the code will address.
         """
         for name, shape in self.program.shapes(groups, steps).items():
-            array = arrays.get(name)
-            good = array is not None and array.shape == shape and array.dtype == np.float64
-            if array is None or not good or not array.flags.c_contiguous:
-                got = "nothing" if array is None else f"{array.dtype} of shape {array.shape}"
-                raise ShapeError(
-                    wording(
-                        f"kernel array {name!r}",
-                        got=got,
-                        expected=f"contiguous float64 of shape {shape}",
-                        do="allocate it as Program.shapes says",
-                    )
-                )
+            _fits(name, arrays.get(name), shape)
         return functools.partial(self._run, [arrays[a] for a in self._arguments], groups, steps)
+
+    def bind_steps(self, arrays: Mapping[str, Array], groups: int) -> Callable[[int], None]:
+        """A call ``run(k)`` of step k alone, over all groups, on arrays with time as first axis.
+
+        Shapes:
+            those of `Program.shapes` for one step; before them, for histories and for what changes
+            in time, an axis of ``count`` steps: step k is at ``k % count``.
+
+        Raises:
+            ShapeError: on an array whose shape, type or layout is not what the code will address.
+        """
+        program = self.program
+        timed = {name for name, (_, rate) in program.inputs.items() if rate & Rate.STEP}
+        timed |= {*program.histories[0], *program.curves[0]}
+        starts, strides, counts = [], [], []
+        for name, shape in program.shapes(groups, 1).items():
+            lead = arrays[name].shape[:1] if name in timed else ()
+            _fits(name, arrays[name], (*lead, *shape))
+            starts.append(arrays[name].ctypes.data)
+            strides.append(arrays[name].strides[0] if lead else 0)
+            counts.append(lead[0] if lead else 1)
+        places = np.array(starts), np.array(strides), np.array(counts)
+        return functools.partial(self._run_step, dict(arrays), groups, places)
+
+    def _run_step(self, _owners: Any, groups: int, places: tuple[Array, ...], k: int) -> None:
+        starts, strides, counts = places
+        self._call(0, groups, 1, *(starts + k % counts * strides).tolist())
 
     def _run(self, owners: list[Array], groups: int, steps: int, first: int, last: int) -> None:
         # The owners are held by the partial: the code below has bare pointers.

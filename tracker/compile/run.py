@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import attrs
@@ -160,10 +160,10 @@ class _Problem:
         inputs = 0 if record.u is None else record.u.shape[1]
         return _layout(self.estimator, rates, inputs, keep)
 
-    def arrays(self, program: Program) -> dict[str, Array]:
+    def arrays(self, program: Program, but: Collection[str] = ()) -> dict[str, Array]:
         """All arrays of a program, with everything filled in but states and measurements."""
-        steps = len(self.record)
-        out = {k: allocate(s) for k, s in program.shapes(self.groups, steps).items()}
+        shapes = program.shapes(self.groups, len(self.record))
+        out = {k: allocate(s) for k, s in shapes.items() if k not in but}
         t = self.record.t
         first = t[:1] if self.start is None else np.full_like(t[:1], self.start)
         before = np.concatenate([first, t[:-1]])
@@ -226,11 +226,6 @@ def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | Non
     _prior(problem, prior, arrays)
     arrays["z"][:] = tile(_flat(record.z, 2, record.batch)[:, : arrays["z"].shape[2]])
     made.bind(arrays, problem.groups, len(record))(0, problem.groups)
-    return history_of(problem, arrays)
-
-
-def history_of(problem: _Problem, arrays: Mapping[str, Array]) -> History:
-    """What a forward program kept, as users see it."""
     score = problem.lanes_of(arrays["score"])
     innovation = Innovation(
         problem.lanes_of(arrays["residual"]),
@@ -247,7 +242,7 @@ def history_of(problem: _Problem, arrays: Mapping[str, Array]) -> History:
         )
 
     return History(
-        problem.record.t, trajectory("predicted"), trajectory("filtered"), innovation, u=problem.record.u
+        record.t, trajectory("predicted"), trajectory("filtered"), innovation, u=record.u
     )
 
 
