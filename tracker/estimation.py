@@ -16,8 +16,8 @@ import numpy as np
 from tracker.algebra import at_once
 from tracker.algebra.lanes import BUFFER
 from tracker.compile import mixed
-from tracker.compile import mixed
 from tracker.compile import run as compiled
+from tracker.compile.online import Steps
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.protocols import Filter, MotionModel, SensorModel, Smoother
 from tracker.registry import Component
@@ -91,6 +91,7 @@ class Estimator:
     sensors: tuple[SensorModel, ...]
     smoother: Smoother | None = None
     sources: tuple[Component, ...] = ()
+    _compiled: Steps = attrs.field(init=False, repr=False, factory=Steps)
 
     def __attrs_post_init__(self) -> None:
         label = f"filter {type(self.filter).__name__}"
@@ -137,6 +138,9 @@ class Estimator:
             ShapeError, DomainError: on a measurement of the wrong shape, inf, a negative dt, or a
             sensor that is not there.
         """
+        done = self._compiled.step(self, state, z, dt, pose, u, t, sensor)
+        if done is not None:
+            return done
         if not 0 <= sensor < len(self.sensors):
             raise DomainError(
                 wording(
@@ -225,8 +229,6 @@ class Estimator:
             reason = getattr(model, "why_opaque", "it is not written over components")
             lines.append(f"{role} {name}: {'opaque, ' + reason if reason else 'traced'}")
         return "\n".join(lines)
-        if why and not mixed.reason(self):
-            lines = [f"runs as compiled steps around a sensor on arrays: {why}"]
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -321,8 +323,6 @@ def filter(  # noqa: A001 - the field's word
         return _history_lanes(wide, slice(0, 1))
     history = _allocated(estimator, record, prior)
     with at_once():
-    if record.z.size and not mixed.reason(estimator):
-        return mixed.filtered(estimator, record, prior, start)
         for tile in tiles(record.batch, prior.n):
             part, some, whole = _tile(estimator, record, prior, history, tile)
             for k, _, predicted, state, innovation in steps(part, some[0], some[1], start):
