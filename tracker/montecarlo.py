@@ -16,7 +16,7 @@ import numpy as np
 
 from tracker import estimation
 from tracker.compile import run as compiled
-from tracker.errors import ConfigError, DomainError, UnknownComponent, wording
+from tracker.errors import CapabilityError, ConfigError, DomainError, UnknownComponent, wording
 from tracker.estimation import Estimator
 from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
 from tracker.metrics.errors import error, squared_position_error
@@ -55,6 +55,11 @@ class Scores:
         return ~(final <= DIVERGED * median)
 
     @property
+    def unaware(self) -> Any:
+        """Which runs diverged without knowing it: mean NEES over the run above 3 n, or not finite."""
+        return self.diverged & ~(self.per_run["nees"] <= 3.0 * self.n)
+
+    @property
     def rmse(self) -> Interval:
         """Mean over runs of the position RMSE over a run (paper 0, Table 1), with its interval."""
         return mean_interval(self.per_run["rmse"])
@@ -72,7 +77,7 @@ class Scores:
 
     def nis_band(self, probability: float = 0.95) -> Band:
         """Band of NIS divided by its degrees of freedom, over all runs and steps."""
-        total = float(np.nansum(self.per_run["count"]))
+        total = float(self.per_run["count"][np.isfinite(self.per_run["nis"])].sum())
         return chi_square_band(total, probability, per=max(total, 1.0))
 
     @property
@@ -201,7 +206,8 @@ class Campaign:
             if "diverged" in (metrics or ("diverged",)) and row["diverged"]:
                 out.append(
                     f"{label} diverged in {row['diverged']} of {self.runs} runs (final error above "
-                    f"{DIVERGED:g} times the median, or not finite): read medians, not means."
+                    f"{DIVERGED:g} times the median, or not finite), {int(scores.unaware.sum())} of "
+                    "them without knowing it (NEES of the run above 3 n): read medians, not means."
                 )
         return out
 
@@ -329,7 +335,20 @@ def monte_carlo(
                 do="give it times t",
             )
         )
+    if not isinstance(scenario, Scenario):
+        raise CapabilityError(
+            wording(
+                "argument 'scenario'",
+                got=repr(scenario)[:80],
+                expected="a Scenario",
+                do="pass tk.scenario(name)",
+            )
+        )
     named = {"estimator": estimators} if isinstance(estimators, Estimator) else dict(estimators)
+    if not named:
+        raise CapabilityError("argument 'estimators': got none. Do this: pass at least one.")
+    for label, built in named.items():
+        _comparable(label, built, scenario)
     size = chunk or max(BLOCK, estimation.LANE_BYTES // (8 * scenario.motion.space.size**2))
     size = size // BLOCK * BLOCK if chunk is None else -(-size // BLOCK) * BLOCK
     pieces = [range(a, min(a + size, runs)) for a in range(0, runs, size)]
@@ -348,6 +367,31 @@ def monte_carlo(
     return Campaign(
         scenario.name, seed, runs, scenario.t, scores, {k: v.cite() for k, v in named.items()}
     )
+
+
+def _comparable(label: str, estimator: Estimator, scenario: Scenario) -> None:
+    """Refuse an estimator whose states or measurements mean something else than the scenario's."""
+    truth, assumed = scenario.motion.space, estimator.motion.space
+    if assumed.names != truth.names:
+        raise CapabilityError(
+            wording(
+                f"the motion model of {label!r}",
+                got=f"states ({', '.join(assumed.names)})",
+                expected=f"those of the scenario ({', '.join(truth.names)}), to be compared with",
+                do="use a motion model of the same states",
+            )
+        )
+    measured, read = scenario.sensor.space, estimator.sensors[0].space
+    same = [(a.unit, a.circular) for a in measured] == [(a.unit, a.circular) for a in read]
+    if len(estimator.sensors) != 1 or not same:
+        raise CapabilityError(
+            wording(
+                f"the sensor of {label!r}",
+                got=f"{read.size} components ({read})",
+                expected=f"the scenario's measurements ({measured})",
+                do="use a sensor that measures the same; several sensors as a stack",
+            )
+        )
 
 
 def _mapped(

@@ -76,6 +76,9 @@ class Scenario:
     the prior mean is drawn around it), or "fixed" (neither is drawn). The truth then follows
     ``path``, or is simulated from ``truth_motion`` (by default the estimator's own model).
 
+    ``detection_probability`` is that of each measured component by itself, as in a stack of
+    sensors: a component that is missed is NaN.
+
     Shapes:
         t ``(T,)`` measurement times; pose ``(T, p)`` or None; path ``(T, n)`` or None; start
         ``(n,)`` or None.
@@ -127,6 +130,25 @@ class Scenario:
                         do="give one row per measurement time",
                     )
                 )
+        first = float(self.t[0]) if steps else self.prior_time
+        if self.prior_time > first:
+            raise DomainError(
+                wording(
+                    "argument 'prior_time'",
+                    got=f"{self.prior_time} s, after the first measurement at {first} s",
+                    expected="a time that is not after t[0]",
+                    do="pass prior_time=t[0], or an earlier one",
+                )
+            )
+        if self.initial == INITIAL[1] and self.start is None and self.prior_time != first:
+            raise DomainError(
+                wording(
+                    "argument 'start'",
+                    got="a path, which begins at t[0], and a prior at another time",
+                    expected="the true state at prior_time",
+                    do="pass start, or prior_time=t[0]",
+                )
+            )
         if self.initial != INITIAL[0] and self.start is None and self.path is None:
             raise DomainError(
                 wording(

@@ -29,6 +29,13 @@ _AXIS = re.compile(
 )
 
 
+def _kept(value: ArrayLike, name: str) -> Array:
+    """A read-only copy: what was checked once stays as it was."""
+    array = as_array(value, name).copy()
+    array.setflags(write=False)
+    return array
+
+
 _NOT_NUMBERS = {
     "M": "dates: pass seconds, (t - t[0]) / np.timedelta64(1, 's')",
     "m": "durations: pass seconds, t / np.timedelta64(1, 's')",
@@ -454,7 +461,7 @@ class Record:
         pose: ArrayLike | None = None,
         sensor: npt.ArrayLike | None = None,
     ) -> None:
-        times, values = as_array(t, "t"), as_array(z, "z")
+        times, values = _kept(t, "t"), _kept(z, "z")
         if values.ndim < 2:
             raise ShapeError(
                 wording(
@@ -481,7 +488,7 @@ class Record:
         for name, extra in (("u", u), ("pose", pose)):
             if extra is None:
                 continue
-            array = as_array(extra, name)
+            array = _kept(extra, name)
             fits = array.ndim >= 2 and array.shape[0] == steps
             if not fits or array.shape[2:] not in ((), batch):
                 raise ShapeError(
@@ -553,7 +560,7 @@ class Scan:
         pose: ArrayLike | None = None,
         sensor: str = "",
     ) -> None:
-        values = as_array(z, "z")
+        values = _kept(z, "z")
         if values.ndim < 2:
             raise ShapeError(
                 wording(
@@ -576,7 +583,16 @@ class Scan:
                 )
             )
         present: npt.NDArray[np.bool_] = np.logical_and(given, seen)
-        where = None if pose is None else as_array(pose, "pose")
+        where = None if pose is None else _kept(pose, "pose")
+        if where is not None and not np.isfinite(where).all():
+            raise DomainError(
+                wording(
+                    "argument 'pose'",
+                    got="NaN or inf",
+                    expected="finite numbers",
+                    do="leave out the scan, or interpolate where the sensor was",
+                )
+            )
         self.__attrs_init__(float(t), values, present, where, sensor)
 
     @property

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import tracker as tk
-from tracker.errors import ConfigError, DomainError, ShapeError, UnknownComponent
+from tracker.errors import CapabilityError, ConfigError, DomainError, ShapeError, UnknownComponent
 from tracker.metrics.consistency import chi_square_band, mean_interval, nees
 from tracker.simulation import stream
 from tracker_motion.constant_velocity import constant_velocity
@@ -90,6 +90,7 @@ def test_simulated_angles_are_wrapped(scene):
     [
         ({"initial": "somehow"}, DomainError, "truth from prior"),
         ({"initial": "fixed", "start": None}, DomainError, "true initial state"),
+        ({"prior_time": 99.0}, DomainError, "not after"),
         ({"start": np.zeros(3)}, ShapeError, "'start'"),
         ({"path": np.zeros((2, 4))}, ShapeError, "one row per measurement time"),
         ({"detection_probability": 1.5}, DomainError, "probability"),
@@ -193,15 +194,20 @@ def test_counts_below_one_are_refused(est, scene, argument):
         tk.monte_carlo(est, scene, **{argument: -1})
 
 
-def test_a_campaign_refuses_what_a_record_would_refuse(scene):
-    wrong = tk.estimator(motion=scene.motion, sensor=azimuth(0.1).at(sx=0.0, sy=0.0))
-    late = attrs.evolve(scene, prior_time=99.0)
-    wide = tk.scenario("line", steps=3)
-    est = tk.estimator(motion=wide.motion, sensor=stack([wide.sensor, wide.sensor]))
-    with pytest.raises(ShapeError, match="pad rows"):
-        tk.monte_carlo(est, wide, runs=2)
-    with pytest.raises(DomainError, match="start"):
-        tk.monte_carlo(wrong, late, runs=2)
+def test_an_estimator_of_other_measurements_or_states_is_refused(scene):
+    line = tk.scenario("line", steps=3)
+    position = line.sensor
+    planar = tk.scenario("moving_observer")
+    for motion, sensor, where, words in (
+        (line.motion, stack([position, position]), line, "2 components"),
+        (planar.motion, range_only(1.0), planar, r"range \[m\]"),
+        (planar.motion, azimuth(0.1), line, "x, y, vx, vy"),
+    ):
+        with pytest.raises(CapabilityError, match=words):
+            tk.monte_carlo(tk.estimator(motion=motion, sensor=sensor), where, runs=2)
+    needs_a_pose = tk.estimator(motion=scene.motion, sensor=stack([azimuth(0.1), azimuth(0.1)]))
+    with pytest.raises(ShapeError, match="pose"):
+        tk.monte_carlo(needs_a_pose, scene, runs=2)
 
 
 def test_a_scenario_without_steps_has_nothing_to_score(est, scene):
