@@ -147,10 +147,22 @@ def _as_data(components: Iterable[Component], registry: Registry) -> dict[str, o
 @main.command()
 @click.argument("name")
 @click.option("--kind", help="Only the component of this kind, where several share the name.")
-def show(name: str, kind: str | None) -> None:
+@click.option(
+    "--kernel",
+    is_flag=False,
+    flag_value="program",
+    type=click.Choice(["program", "llvm"]),
+    help="Print its compiled step on an example instead: the step program, or the LLVM text.",
+)
+def show(name: str, kind: str | None, kernel: str | None) -> None:
     """Show all that is known of the component NAME."""
     for component in _named(name, kind):
-        _show(component)
+        if kernel is None:
+            _show(component)
+            continue
+        from tracker.commands.kernel import kernel_text
+
+        click.echo(kernel_text(component, kernel))
 
 
 def _named(name: str, kind: str | None) -> tuple[Component, ...]:
@@ -304,6 +316,7 @@ def doctor() -> None:
     """Report on plugins, versions and optional extras; exit code 1 if a plugin failed."""
     import platform
 
+    from tracker.compile import objects
     from tracker.registry import Registry
 
     # A registry of its own: load times are then measured here, and strict mode cannot end the report.
@@ -338,6 +351,7 @@ def doctor() -> None:
                 for name in ("tracker-lab", "numpy", "scipy")
             ),
             *_extras(),
+            *objects.report(),
         ]
     )
     raise click.exceptions.Exit(int(bool(failed)))

@@ -6,7 +6,7 @@ can be compiled whole is run by `tracker.compile.run`, and what asks for the sen
 (sigma points, iterations) by the arrays.
 
 Measured: extended Kalman filter, two bearings by np.arctan2, n = 4, histories kept, microseconds of CPU
-time per step on a shared Zen 5 core, against the arrays: 1,000 lanes 288 against 415 (the sensor's own
+time per step on a shared core with AVX-512, against the arrays: 1,000 lanes 288 against 415 (the sensor's own
 share is 70), 8 lanes 55 against 133, one run 46 against 59.
 """
 

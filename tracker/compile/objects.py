@@ -63,6 +63,37 @@ def folder() -> Path | None:
     return base
 
 
+def report() -> list[tuple[str, str]]:
+    """What a person should know of compiled steps on this machine, as names and values."""
+    given = os.environ.get("TRACKER_COMPILE")
+    mode = "on, as TRACKER_COMPILE is not set" if given is None else f"TRACKER_COMPILE={given}"
+    if not available():
+        return [
+            ("compiled", "no, all runs on arrays: pip install 'tracker-lab[fast]'"),
+            ("mode", mode),
+        ]
+    import llvmlite
+    from llvmlite import binding as llvm
+
+    found = llvm.get_host_cpu_features()
+    told = [name for name in _FEATURES if found.get(name)]
+    base = folder()
+    if base is None:
+        cache = "none: off, or not writable by this user alone; each process compiles anew"
+    else:
+        sizes = [path.stat().st_size for path in base.glob("*.o")]
+        cache = f"{base}: {len(sizes)} objects, {sum(sizes) / 1e6:.1f} MB"
+    return [
+        ("compiled", f"steps are, by llvmlite {llvmlite.__version__}"),
+        ("mode", mode),
+        ("cpu", f"{llvm.get_host_cpu_name()}: {', '.join(told) or 'no wide vectors'}"),
+        ("cache", cache),
+    ]
+
+
+_FEATURES = ("avx512f", "avx2", "fma", "avx", "sse4.2", "sve", "neon")
+
+
 def compiled(text: str) -> Machine:
     """Machine code for an LLVM text, from the cache if it is there.
 

@@ -172,9 +172,10 @@ class Program:
         lines = [
             f"step program: {'backward' if self.backward else 'forward'}, {WIDTH} lanes a group"
         ]
+        wide = max(map(len, (*self.inputs, *self.states)), default=0)
         for name, (count, rate) in self.inputs.items():
-            lines.append(f"input   {name:12s} {count:3d} {_OFTEN[rate]}")
-        lines += [f"state   {name:12s} {len(nodes):3d}" for name, nodes in self.states.items()]
+            lines.append(f"input   {name:{wide}s} {count:3d} {_OFTEN[rate]}")
+        lines += [f"state   {name:{wide}s} {len(nodes):3d}" for name, nodes in self.states.items()]
         for variant in range(self.variants):
             order = needed(self.roots(variant))
             work = sum(n.op not in ("input", "const") for n in order)
