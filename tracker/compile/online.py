@@ -267,6 +267,9 @@ class _Watched:
 class _Estimate(Gaussian):
     """What a compiled step returns: a Gaussian whose arrays are made when first asked for.
 
+    They look into memory that the step was given for this result alone, so that what a user writes
+    into them counts in the next step, as it does in any Gaussian.
+
     Laws:
         a value like any other: no later step writes into its memory; copied and pickled as a plain
         Gaussian.
@@ -279,12 +282,17 @@ class _Estimate(Gaussian):
         """A changed copy (`attrs.evolve`) is a plain Gaussian: it was not made by a step."""
         return Gaussian(*arguments, **named)
 
+    @classmethod
+    def trusted(cls, mean: Array, cov: Array) -> Gaussian:
+        """A plain Gaussian, for the same reason."""
+        return Gaussian.trusted(mean, cov)
+
     def __getattr__(self, name: str) -> Any:
         # Python comes here for a slot that is still empty.
         if name not in {"mean", "cov"}:
             raise AttributeError(name)
         buffer, bound = self._source
-        made = (bound.mean if name == "mean" else bound.cov).of(buffer)
+        made = bound.read(buffer, name)
         object.__setattr__(self, name, made)
         return made
 
@@ -309,7 +317,7 @@ class _Surprise(Innovation):
         if name not in _FIELDS:
             raise AttributeError(name)
         buffer, bound = self._source
-        made = bound.innovation(buffer, name)
+        made = bound.read(buffer, name)
         object.__setattr__(self, name, made)
         return made
 
@@ -328,26 +336,41 @@ _fill_surprise = vars(_Surprise)["_source"].__set__
 
 
 # ------------------------------------------------------------------------------------- binding
-@attrs.frozen
+@attrs.frozen(eq=False)
 class _View:
-    """Some rows of a result's buffer as an array over the batch."""
+    """Some rows of a result's buffer as an array over the batch; without axes it is one number."""
 
     shape: tuple[int, ...]
+    row: int
     start: int
     strides: tuple[int, ...]
-
-    @classmethod
-    def at(cls, row: int, axes: tuple[int, ...], batch: tuple[int, ...], pitch: int) -> _View:
-        """Rows from a given one on, as axes before those of the batch."""
-        step, strides = _BYTES * pitch, [_BYTES] * len(batch)
-        for i in range(len(batch) - 1, 0, -1):
-            strides[i - 1] = strides[i] * batch[i]
-        lead = [step * math.prod(axes[i + 1 :]) for i in range(len(axes))]
-        return cls((*axes, *batch), step * row, (*lead, *strides))
 
     def of(self, buffer: Any) -> Array:
         """The array; it keeps the buffer alive."""
         return np.ndarray(self.shape, _DOUBLE, buffer, self.start, self.strides)
+
+
+def _views(n: int, m: int, most: int, batch: tuple[int, ...], pitch: int) -> dict[str, _View]:
+    """Where everything lies in a result, by its name; see `_Bound`."""
+    inner = tuple(_BYTES * math.prod(batch[i + 1 :]) for i in range(len(batch)))
+
+    def view(row: int, *axes: tuple[int, int]) -> _View:
+        lengths = tuple(length for length, _ in axes)
+        strides = tuple(_BYTES * pitch * rows for _, rows in axes)
+        return _View((*lengths, *batch), row, _BYTES * pitch * row, strides + inner)
+
+    first = n + n * n
+    last = first + most + most * most
+    return {
+        "mean": view(0, (n, 1)),
+        "cov": view(n, (n, n), (n, 1)),
+        "residual": view(first, (m, 1)),
+        "S": view(first + most, (m, most), (m, 1)),
+        "nis": view(last),
+        "ok": view(last),  # finite or not
+        "loglik": view(last + 1),
+        "count": view(last + 2),
+    }
 
 
 def _pitch(lanes: int) -> int:
@@ -379,11 +402,7 @@ class _Bound:
     fixed: bytes
     allocated: Callable[[], Any]
     batch: tuple[int, ...]
-    pitch: int
-    mean: _View
-    cov: _View
-    m: int
-    most: int
+    views: Mapping[str, _View]
     scalar: Mapping[str, bool]
     pose_filling: bytes
     z_filling: bytes
@@ -402,20 +421,14 @@ class _Bound:
         where += [b"" if pose is None else pose.tobytes(), self.pose_filling]
         return b"".join((*scalars, *rows, z.tobytes(), self.z_filling))
 
-    def innovation(self, buffer: Any, name: str) -> Any:
-        """One field of an innovation, of the type that arrays would give it."""
-        n, most, m = self.mean.shape[0], self.most, self.m
-        first = n + n * n
-        row = first + {"residual": 0, "S": most}.get(name, most * (1 + most))
-        row += {"loglik": 1, "count": 2}.get(name, 0)
-        if name == "residual":
-            return _View.at(row, (most,), self.batch, self.pitch).of(buffer)[:m]
-        if name == "S":
-            return _View.at(row, (most, most), self.batch, self.pitch).of(buffer)[:m, :m]
-        if self.batch:
-            made = _View.at(row, (), self.batch, self.pitch).of(buffer)
+    def read(self, buffer: Any, name: str) -> Any:
+        """One field of a result, of the type that arrays would give it."""
+        view = self.views[name]
+        if view.shape:
+            made = view.of(buffer)
             return np.isfinite(made) if name == "ok" else made
-        return math.isfinite(buffer[row]) if name == "ok" else buffer[row]
+        number = buffer[view.row]
+        return math.isfinite(number) if name == "ok" else number
 
 
 _two = struct.Struct("=2d").pack
@@ -464,11 +477,7 @@ def _bind(
         fixed=fixed,
         allocated=_allocation(pitch * (n * (n + 1) + most * (most + 1) + 3)),
         batch=batch,
-        pitch=pitch,
-        mean=_View.at(0, (n,), batch, pitch),
-        cov=_View.at(n, (n, n), batch, pitch),
-        m=model.space.size,
-        most=most,
+        views=_views(n, model.space.size, most, batch, pitch),
         scalar=scalar,
         pose_filling=bytes(_BYTES * (1 if scalar["pose"] else lanes) * (widest - size)),
         z_filling=bytes(_BYTES * lanes * (most - model.space.size)),
@@ -597,21 +606,16 @@ def _before(state: Any, bound: _Bound) -> Any:
     """Rows of mean and covariance, or None for a state of another kind or shape."""
     kind = type(state)
     if kind is _Estimate:
-        try:
-            buffer, made = state._source  # noqa: SLF001 - a class of this module
-        except AttributeError:
-            pass
-        else:
-            if made is bound or made.mean.shape == bound.mean.shape:
-                return buffer
-    elif kind is not Gaussian:
+        buffer, made = state._source  # noqa: SLF001 - a class of this module
+        if made is bound or made.views["mean"].shape == bound.views["mean"].shape:
+            return buffer
         return None
-    mean, cov = state.mean, state.cov
-    if mean.shape != bound.mean.shape or cov.shape != bound.cov.shape:
-        return None
-    if mean.dtype != _DOUBLE or cov.dtype != _DOUBLE:
+    if kind is not Gaussian:
         return None
     buffer = bound.allocated()
-    bound.mean.of(buffer)[...] = mean
-    bound.cov.of(buffer)[...] = cov
+    for name in ("mean", "cov"):
+        values, view = getattr(state, name), bound.views[name]
+        if values.shape != view.shape or values.dtype != _DOUBLE:
+            return None
+        view.of(buffer)[...] = values
     return buffer
