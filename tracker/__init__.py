@@ -15,10 +15,41 @@ if TYPE_CHECKING:
     from tracker.estimation import estimator as estimator
     from tracker.estimation import filter as filter  # noqa: A004
     from tracker.estimation import smooth as smooth
+    from tracker.geodesy import LocalTangentPlane as LocalTangentPlane
+    from tracker.hookspecs import hookimpl as hookimpl
+    from tracker.io.detections import read_detection_log as read_detection_log
     from tracker.montecarlo import Campaign as Campaign
+    from tracker.montecarlo import load_campaign as load_campaign
     from tracker.montecarlo import monte_carlo as monte_carlo
+    from tracker.pipeline import Pipeline as Pipeline
+    from tracker.registry import Component as Component
+    from tracker.registry import adapters as adapters
+    from tracker.registry import associators as associators
+    from tracker.registry import default_registry as default_registry
+    from tracker.registry import filters as filters
+    from tracker.registry import gates as gates
+    from tracker.registry import motions as motions
+    from tracker.registry import optimisers as optimisers
+    from tracker.registry import planners as planners
+    from tracker.registry import scenarios as scenarios
+    from tracker.registry import sensors as sensors
+    from tracker.registry import smoothers as smoothers
     from tracker.simulation import Scenario as Scenario
     from tracker.simulation import scenario as scenario
+    from tracker.types import PLANAR as PLANAR
+    from tracker.types import SPATIAL as SPATIAL
+    from tracker.types import Association as Association
+    from tracker.types import Axis as Axis
+    from tracker.types import Columns as Columns
+    from tracker.types import Gaussian as Gaussian
+    from tracker.types import History as History
+    from tracker.types import Innovation as Innovation
+    from tracker.types import Projection as Projection
+    from tracker.types import Record as Record
+    from tracker.types import Scan as Scan
+    from tracker.types import Space as Space
+    from tracker.types import Tracks as Tracks
+    from tracker.types import Trajectory as Trajectory
 
 __version__ = "0.1.0"
 

@@ -136,9 +136,8 @@ def test_long_values_print_short():
 
 
 def test_a_planar_range_is_not_moved_to_states_with_a_height():
-    from tracker_sensors.range_only import range_only
-
     from tracker.errors import CapabilityError
+    from tracker_sensors.range_only import range_only
 
     with pytest.raises(CapabilityError, match="axes=3"):
         range_only(1.0).over(tk.SPATIAL)

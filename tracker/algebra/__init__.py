@@ -211,7 +211,10 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     """Condition a Gaussian on a measurement; components whose residual is NaN were not measured.
 
     The whitened update: with ``S = L L'``, ``W = L^-1 cross'``, ``y = L^-1 v``, the result is
-    ``mean + W' y`` and ``cov - W' W``, symmetric by construction.
+    ``mean + W' y`` and ``cov - W' W``, symmetric by construction. The subtraction cancels all digits
+    when a measurement is some 1e15 times better than the prior (``H P H' / R``): where a variance
+    then comes out negative, nis and loglik are NaN, so that ``ok`` is False. Use the filter
+    "ekf1_joseph" for such problems.
 
     Shapes:
         mean ``(n, *batch)``; cov ``(n, n, *batch)``; v ``(m, *batch)``; S ``(m, m, *batch)``;

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from tracker.algebra.lanes import LOG_TAU, PIVOTS
 from tracker.models.functions import absolute, isnan, less, log, maximum, sqrt, where, wrap
 from tracker.models.graph import is_zero, plain
-
-LOG_TAU = math.log(2.0 * math.pi)
 
 
 def _dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
@@ -169,6 +168,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     n, m = cross.shape
     rows: list[list[Any]] = [[0.0] * m for _ in range(m)]
     inverse: list[Any] = []
+    logarithm: Any = 0.0
     determinant: Any = 1.0
     count: Any = 0.0
     residuals = []
@@ -179,6 +179,8 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         pivot = S[k, k] - _dot(rows[k][:k], rows[k][:k])
         inverse.append(where(missing, 0.0, 1.0 / sqrt(pivot)))
         determinant = determinant * where(missing, 1.0, pivot)
+        if k % PIVOTS == PIVOTS - 1:
+            logarithm, determinant = logarithm + log(determinant), 1.0
         count = count + where(missing, 0.0, 1.0)
         residuals.append([where(missing, 0.0, v[k])])
     y = [row[0] for row in _forward(rows, inverse, residuals)]
@@ -190,11 +192,10 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         total = total + e
     # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
     nis = where(less(absolute(total), math.inf), _dot(y, y), math.nan)
-    loglik = -0.5 * (nis + log(determinant) + LOG_TAU * count)
-    return (
-        new,
-        _symmetric(n, lambda i, j: cov[i, j] - _dot(column[i], column[j])),
-        nis,
-        loglik,
-        count,
-    )
+    updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(column[i], column[j]))
+    for i in range(n):  # a negative variance where there was none is an error, not an estimate
+        if updated[i, i] is not cov[i, i]:
+            before = where(less(cov[i, i], 0.0), nis, math.nan)
+            nis = where(less(updated[i, i], 0.0), before, nis)
+    loglik = -0.5 * (nis + (logarithm + log(determinant)) + LOG_TAU * count)
+    return new, updated, nis, loglik, count

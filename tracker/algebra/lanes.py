@@ -17,6 +17,8 @@ from tracker.models.functions import wrap
 from tracker.types import Columns
 
 LOG_TAU = math.log(2.0 * math.pi)
+PIVOTS = 4
+"""Pivots multiplied before their logarithm is taken: a product of many small ones would underflow."""
 
 
 BUFFER = 128
@@ -188,6 +190,8 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     rows: list[list[Any]] = [[None] * m for _ in range(m)]
     W: list[Any] = []
     y: list[Any] = []
+    before = cov
+    logarithm: Any = 0.0
     determinant: Any = 1.0
     for k in range(m):
         s, w, u = S[k, k], cross[:, k], v[k]
@@ -206,6 +210,8 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         else:
             inverse = 1.0 / np.sqrt(s)
         determinant = determinant * s
+        if k % PIVOTS == PIVOTS - 1:
+            logarithm, determinant = logarithm + np.log(determinant), 1.0
         rows[k][k] = inverse
         W.append(w * inverse)
         y.append(u * inverse)
@@ -217,6 +223,10 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         cov = np.subtract(cov, np.multiply(w[:, None], w, outer), smaller)
         nis = nis + u * u
     nis += 0.0 * np.add.reduce(mean, axis=0)  # NaN in a lane whose mean is not finite
+    negative = np.einsum("ii...->i...", cov) < 0.0
+    if np.count_nonzero(negative):
+        negative &= np.einsum("ii...->i...", before) >= 0.0
+        nis = np.where(negative.any(axis=0), math.nan, nis)
     count = np.add.reduce(seen, axis=0) if masked else np.full(nis.shape, float(m))
-    loglik = -0.5 * (nis + np.log(determinant) + LOG_TAU * count)
+    loglik = -0.5 * (nis + (logarithm + np.log(determinant)) + LOG_TAU * count)
     return mean, cov, nis, loglik, count

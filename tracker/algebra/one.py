@@ -27,7 +27,11 @@ def _triangles(n: int) -> tuple[Any, Any]:
 
 def _mirror(A: Any) -> None:
     """Copy the upper triangle over the lower one; for few entries much faster than averaging both."""
-    lower, upper = _triangles(len(A))
+    n = len(A)
+    if n == 2:  # the most common innovation covariance
+        A[1, 0] = A[0, 1]
+        return
+    lower, upper = _triangles(n)
     A.put(lower, A.take(upper))
 
 
@@ -100,4 +104,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     nis = float(y.dot(y)) + 0.0 * sum(mean.tolist())  # NaN where the mean is not finite
     # A product of many small pivots would underflow to zero.
     loglik = -0.5 * (nis + 2.0 * sum(map(math.log, L.diagonal().tolist())) + LOG_TAU * len(v))
-    return mean, cov - W.T.dot(W), nis, loglik, float(len(v))
+    updated = cov - W.T.dot(W)
+    if updated.diagonal().min() < 0.0 <= cov.diagonal().min():
+        nis = loglik = math.nan
+    return mean, updated, nis, loglik, float(len(v))
