@@ -468,13 +468,36 @@ def fitting(estimator: Estimator, record: Record, prior: Gaussian, start: float 
                     do="give the estimator as many sensors as the record names",
                 )
             )
-    if record.z.shape[1] < widest:
+    if record.z.shape[1] < widest or not np.isnan(record.z[:, widest:]).all():
+        several = " (the widest of the sensors)" if len(estimator.sensors) > 1 else ""
         raise ShapeError(
             wording(
                 "argument 'record.z'",
                 got=f"{record.z.shape[1]} measurement components",
-                expected=f"{widest}: the largest measurement space of the sensors",
-                do="pad rows with NaN",
+                expected=f"{widest}{several}: {max(estimator.sensors, key=_size).space}",
+                do="pad rows of narrower sensors with NaN"
+                if several
+                else "give what the sensor measures, one column per component",
+            )
+        )
+    most = max(s.pose_space.size for s in estimator.sensors)
+    if record.pose is not None and record.pose.shape[1] > most:
+        raise ShapeError(
+            wording(
+                "argument 'record.pose'",
+                got=f"{record.pose.shape[1]} components",
+                expected=f"{most}, the most that a sensor asks for" if most else "no pose",
+                do="leave out what no sensor uses",
+            )
+        )
+    inputs = getattr(estimator.motion, "input_space", None)
+    if record.u is not None and inputs is not None and record.u.shape[1] != inputs.size:
+        raise ShapeError(
+            wording(
+                "argument 'record.u'",
+                got=f"{record.u.shape[1]} components",
+                expected=f"{inputs.size}: {inputs}" if inputs.size else "no input",
+                do="give one column per input component of the motion model",
             )
         )
     for sensor in estimator.sensors:
@@ -491,6 +514,10 @@ def fitting(estimator: Estimator, record: Record, prior: Gaussian, start: float 
             )
     _refuse_silent_broadcasts(estimator, record, prior)
     return prior
+
+
+def _size(sensor: SensorModel) -> int:
+    return sensor.space.size
 
 
 def _refuse_silent_broadcasts(estimator: Estimator, record: Record, prior: Gaussian) -> None:

@@ -261,7 +261,10 @@ def test_a_wrong_record_says_what_came_and_what_to_do(change, error, words):
     [
         (bearings(3), tk.Gaussian([0.0], [[1.0]]), "4: x"),
         (bearings(3, (4,)), tk.Gaussian(np.zeros((4, 3)), np.eye(4)), r"\(\) or \(4,\)"),
-        (tk.Record([1.0], np.zeros((1, 1))), PRIOR, "pad rows with NaN"),
+        (tk.Record([1.0], np.zeros((1, 1))), PRIOR, "one column per component"),
+        (tk.Record([1.0], np.zeros((1, 3))), PRIOR, "got 3 measurement components"),
+        (tk.Record([1.0], np.zeros((1, 2)), pose=np.zeros((1, 2))), PRIOR, "no pose"),
+        (tk.Record([1.0], np.zeros((1, 2)), u=np.zeros((1, 1))), PRIOR, "no input"),
     ],
 )
 def test_record_and_prior_that_do_not_fit_are_refused_before_anything_runs(record, prior, words):
