@@ -308,7 +308,7 @@ class ComponentFunction:
 
     def linearise(self, x: Any, keywords: Mapping[str, Any]) -> tuple[Any, Any]:
         """Outputs and Jacobian, sharing what they have in common; `Columns` for arrays of lanes."""
-        trace = self.trace
+        trace = self._trace if type(self._trace) is Trace else self.trace
         m = len(trace.roots)
         if x.ndim == 1:
             if trace.linear:

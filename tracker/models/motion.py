@@ -9,7 +9,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.errors import CapabilityError, ShapeError, wording
+from tracker.errors import CapabilityError, ShapeError, TraceError, wording
 from tracker.models.component import KEPT, Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
 from tracker.types import EMPTY_SPACE, ArrayLike, Space
@@ -129,8 +129,11 @@ class ComponentMotion:
     ) -> tuple[Any, Any]:
         """`f` and its Jacobian together; a Jacobian that all lanes share has trailing axes of 1."""
         state = shaped(x, self.space, "x", self.name)
-        self._need_trace("a Jacobian")
-        return self._advance.linearise(state, self._keywords(dt, u, t))
+        try:
+            return self._advance.linearise(state, self._keywords(dt, u, t))
+        except TraceError:
+            self._need_trace("a Jacobian")
+            raise
 
     def Q(self, x: ArrayLike, dt: Any) -> Any:
         """Process noise of a step, ``(n, n, *batch)``; axes of length 1 where all lanes share it."""

@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from tracker.algebra import residual
-from tracker.errors import CapabilityError, ShapeError, wording
+from tracker.errors import CapabilityError, ShapeError, TraceError, wording
 from tracker.models.component import Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
 from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Columns, Space
@@ -144,8 +144,11 @@ class ComponentSensor:
                 return value, self._first(state, keywords)
             entries = first.evaluate(state, keywords)
             return value, Columns(entries, first.places, self.state.size)
-        self._need_trace("a Jacobian")
-        return self._measure.linearise(state, keywords)
+        try:
+            return self._measure.linearise(state, keywords)
+        except TraceError:
+            self._need_trace("a Jacobian")
+            raise
 
     def R(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
         """Measurement noise, ``(m, m, *batch)``; axes of length 1 where all lanes share it."""
