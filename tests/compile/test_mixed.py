@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 import tracker as tk
-from tracker.compile import mixed, objects
+from tracker.compile import mixed, objects, run
 from tracker.errors import ShapeError
+from tracker.estimation import smoothed
 from tracker.models import ComponentSensor, diagonal
 from tracker.types import Columns
-from tracker_kalman import ExtendedKalmanFilter, JosephFilter
+from tracker_kalman import ExtendedKalmanFilter, JosephFilter, RauchTungStriebel
 from tracker_motion.acceleration_input import acceleration_input
 from tracker_motion.constant_velocity import constant_velocity
 from tracker_sensors.range_azimuth import range_azimuth
@@ -110,6 +111,20 @@ def test_noise_per_lane_known_inputs_and_other_filters(monkeypatch):
     sensor = opaque(near=np.linspace(0.01, 0.1, 9))
     motion = acceleration_input(sigma=0.1)
     agree(monkeypatch, *problem([sensor], (9,), rule=JosephFilter(), motion=motion))
+
+
+@pytest.mark.parametrize("batch", [(), (9,)])
+def test_smoothing_does_not_depend_on_what_can_be_traced_of_the_filter(monkeypatch, batch):
+    est, record, prior = problem([opaque()], batch, rule=Undecided())
+    smoothing = attrs.evolve(est, smoother=RauchTungStriebel())
+    monkeypatch.setenv("TRACKER_COMPILE", "on")
+    history = tk.filter(est, record, prior)
+    assert not run.why_not_backwards(smoothing)
+    found = smoothed(smoothing, history).smoothed
+    monkeypatch.setenv("TRACKER_COMPILE", "off")
+    arrays = smoothed(smoothing, history).smoothed
+    np.testing.assert_allclose(found.mean, arrays.mean, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.cov, arrays.cov, rtol=1e-9, atol=1e-9)
 
 
 def test_a_lane_that_diverges_stays_nan_and_harms_no_neighbour(monkeypatch):

@@ -25,7 +25,7 @@ from tracker.compile import objects
 from tracker.compile.fuse import Layout, Linearised, around, pack, unpack, why_not
 from tracker.compile.llvm import Kernel
 from tracker.compile.program import Program, Rate, allocate, tile
-from tracker.compile.run import _flat, _layout, _prior, _Problem, mode
+from tracker.compile.run import MISSING, Parts, _flat, _hashable, _layout, _prior, _Problem, mode
 from tracker.errors import ShapeError, TraceError, wording
 from tracker.models.linearise import linearise
 from tracker.models.sensor import ComponentSensor
@@ -42,7 +42,7 @@ def reason(estimator: Any) -> str:
     if mode() != "on":
         return f"TRACKER_COMPILE={mode()}"
     if not objects.available():
-        return "llvmlite is not installed (pip install 'tracker-lab[fast]')"
+        return MISSING
     why = why_not(estimator.filter, estimator.motion, ())
     if why:
         return why
@@ -53,10 +53,7 @@ def reason(estimator: Any) -> str:
         i: _stand_in(estimator.sensors[i], tuple(range(estimator.motion.space.size)), estimator)
         for i in opaque
     }
-    try:
-        return _trial(_layout(_parts(estimator, stand_ins), {}, 0, _KEEP))
-    except TypeError as error:
-        return f"a component holds what cannot be a key for its compiled step ({error})"
+    return _hashable(_trial, _layout(_parts(estimator, stand_ins), {}, 0, _KEEP))
 
 
 def _opaque(estimator: Any) -> list[int]:
@@ -74,19 +71,9 @@ def _stand_in(sensor: Any, columns: tuple[int, ...], estimator: Any) -> Linearis
     return Linearised(key, columns, estimator.motion.space.size, sensor.space, sensor.residual)
 
 
-@attrs.frozen(eq=False)
-class _Parts:
-    """What a layout asks of an estimator."""
-
-    filter: Any
-    motion: Any
-    sensors: tuple[Any, ...]
-    smoother: None = None
-
-
-def _parts(estimator: Any, stand_ins: Mapping[int, Linearised]) -> _Parts:
+def _parts(estimator: Any, stand_ins: Mapping[int, Linearised]) -> Parts:
     sensors = tuple(stand_ins.get(i, s) for i, s in enumerate(estimator.sensors))
-    return _Parts(estimator.filter, estimator.motion, sensors)
+    return Parts(estimator.filter, estimator.motion, sensors)
 
 
 @functools.lru_cache(maxsize=128)

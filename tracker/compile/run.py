@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import attrs
@@ -22,6 +22,7 @@ from tracker.compile.program import WIDTH, Program, Rate, allocate, tile, untile
 from tracker.errors import CapabilityError, ConfigError, TraceError
 from tracker.types import Array, Gaussian, History, Innovation, Record, Trajectory
 
+MISSING = "llvmlite is not installed (pip install 'tracker-lab[fast]')"
 MODES = ("on", "off", "require")
 
 
@@ -50,22 +51,20 @@ def reason(estimator: Any) -> str:
     if wanted == "off":
         return "TRACKER_COMPILE=off"
     if not objects.available():
-        why = "llvmlite is not installed (pip install 'tracker-lab[fast]')"
+        why = MISSING
     else:
-        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _tried(
-            _layout(estimator, {}, 0, ("filtered",))
+        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _hashable(
+            _trial, _layout(estimator, {}, 0, ("filtered",))
         )
-    if why and wanted == "require":
-        raise CapabilityError(f"TRACKER_COMPILE=require, but this cannot be compiled: {why}.")
-    return why
+    return _required(why, wanted)
 
 
-def _tried(layout: Layout) -> str:
+def _hashable(trial: Callable[[Layout], str], layout: Layout) -> str:
     try:
         hash(layout)
     except TypeError as error:
         return f"a component holds what cannot be a key for its compiled step ({error})"
-    return _trial(layout)
+    return trial(layout)
 
 
 @functools.lru_cache(maxsize=128)
@@ -78,12 +77,45 @@ def _trial(layout: Layout) -> str:
     return ""
 
 
+@attrs.frozen(eq=False)
+class Parts:
+    """What a layout asks of an estimator."""
+
+    filter: Any
+    motion: Any
+    sensors: tuple[Any, ...] = ()
+    smoother: Any = None
+
+
+def _afterwards(estimator: Any) -> Parts:
+    """What a smoother depends on: neither the filter nor what it measured with."""
+    return Parts(None, estimator.motion, (), estimator.smoother)
+
+
 def why_not_backwards(estimator: Any) -> str:
-    """Why an estimator's smoother runs on arrays, or ''."""
-    why = reason(estimator)
-    if not why and not hasattr(estimator.smoother, "step"):
-        why = f"smoother {type(estimator.smoother).__name__} has no step over components"
-    return why or _trial_backwards(_layout(estimator, {}, 0, ("smoothed",)))
+    """Why an estimator's smoother runs on arrays, or ''.
+
+    Raises:
+        CapabilityError: if TRACKER_COMPILE=require and it cannot be compiled.
+    """
+    wanted, after = mode(), _afterwards(estimator)
+    if wanted == "off":
+        return "TRACKER_COMPILE=off"
+    if not objects.available():
+        why = MISSING
+    elif not hasattr(after.smoother, "step"):
+        why = f"smoother {type(after.smoother).__name__} has no step over components"
+    else:
+        why = why_not(None, after.motion, ()) or _hashable(
+            _trial_backwards, _layout(after, {}, 0, ("smoothed",))
+        )
+    return _required(why, wanted)
+
+
+def _required(why: str, wanted: str) -> str:
+    if why and wanted == "require":
+        raise CapabilityError(f"TRACKER_COMPILE=require, but this cannot be compiled: {why}.")
+    return why
 
 
 @functools.lru_cache(maxsize=128)
@@ -267,7 +299,7 @@ def smoothed(estimator: Any, history: History) -> History:
     for name, value in (("t", history.t), ("z", empty), ("u", history.u), ("pose", None)):
         object.__setattr__(record, name, value)
     object.__setattr__(record, "sensor", None)
-    problem = _Problem.of(estimator, record, None)
+    problem = _Problem.of(_afterwards(estimator), record, None)
     made = kernel(problem.layout(("smoothed",)), "backward")
     arrays = problem.arrays(made.program)
     for name, source in (("filtered", history.filtered), ("predicted", history.predicted)):
