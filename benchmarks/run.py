@@ -200,8 +200,8 @@ def online() -> None:
     if peer is not None:
         for label in list(works)[:-1]:
             share = measure.ratio(seconds[label], seconds["filterpy, predict and update"])
-            word = "no slower, as wanted" if share <= 1.0 else "MISSED: slower"
-            print(f"  {label} takes {share:.2f} of filterpy's time ({word})")
+            word = "as wanted" if share <= 1.0 else "MISSED"
+            print(f"  {label} takes {share:.2f} of filterpy's time (at most 1: {word})")
 
 
 def by_hand() -> None:

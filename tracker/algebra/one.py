@@ -105,6 +105,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     # A product of many small pivots would underflow to zero.
     loglik = -0.5 * (nis + 2.0 * sum(map(math.log, L.diagonal().tolist())) + LOG_TAU * len(v))
     updated = cov - W.T.dot(W)
-    if updated.diagonal().min() < 0.0 <= cov.diagonal().min():
+    # Lists: for few entries they are searched faster than arrays.
+    if min(updated.diagonal().tolist()) < 0.0 <= min(cov.diagonal().tolist()):
         nis = loglik = math.nan
     return mean, updated, nis, loglik, float(len(v))
