@@ -94,6 +94,7 @@ class Estimator:
     _compiled: Steps = attrs.field(init=False, repr=False, factory=Steps)
 
     def __attrs_post_init__(self) -> None:
+        _play_their_parts(self)
         label = f"filter {type(self.filter).__name__}"
         needs = tuple(self.filter.needs)
         check_capabilities(label, needs, "motion", self.motion)
@@ -180,7 +181,7 @@ class Estimator:
                     do="replace inf by NaN if the measurement is missing",
                 )
             )
-        if (dt < 0) if isinstance(dt, float) else np.any(np.asarray(dt) < 0):
+        if not ((dt >= 0) if isinstance(dt, float) else np.all(np.asarray(dt) >= 0)):
             raise DomainError(
                 wording(
                     "argument 'dt'",
@@ -248,6 +249,27 @@ def _infinite(values: Any) -> bool:
         few = values.tolist()
         return math.inf in few or -math.inf in few
     return bool(np.isinf(values).any())
+
+
+_PARTS = {"filter": "update", "motion": "f", "sensor": "h"}
+
+
+def _play_their_parts(estimator: Estimator) -> None:
+    """Refuse what is no filter, motion or sensor, before anything asks it for more."""
+    if not estimator.sensors:
+        raise CapabilityError("an estimator needs a sensor: got none. Do this: pass sensor=....")
+    given = [("filter", estimator.filter), ("motion", estimator.motion)]
+    for role, value in given + [("sensor", sensor) for sensor in estimator.sensors]:
+        if not hasattr(value, _PARTS[role]):
+            raise CapabilityError(
+                wording(
+                    f"argument {role!r}",
+                    got=f"{getattr(value, 'name', None) or repr(value)[:60]}, which has no method "
+                    f"{_PARTS[role]!r}",
+                    expected=f"a {role}, or the name of one",
+                    do=f"see `tracker list {role}`",
+                )
+            )
 
 
 def _cut(model: Any, index: Any) -> Any:
@@ -411,6 +433,16 @@ def fitting(estimator: Estimator, record: Record, prior: Gaussian, start: float 
     Raises:
         ShapeError, DomainError: when record, prior and models do not fit together.
     """
+    for label, value, kind in (("record", record, Record), ("prior", prior, Gaussian)):
+        if not isinstance(value, kind):
+            raise CapabilityError(
+                wording(
+                    f"argument {label!r}",
+                    got=type(value).__name__,
+                    expected=f"a {kind.__name__}",
+                    do="pass tk.Record(t, z)" if kind is Record else "pass tk.Gaussian(mean, cov)",
+                )
+            )
     space, batch = estimator.motion.space, record.batch
     if prior.n != space.size:
         raise ShapeError(
@@ -438,7 +470,7 @@ def fitting(estimator: Estimator, record: Record, prior: Gaussian, start: float 
                 prior.cov.reshape(prior.n, prior.n, *lead), (prior.n,) * 2 + batch
             ).copy(),
         )
-    if start is not None and len(record) and (record.t[0] < start).any():
+    if start is not None and len(record) and not (record.t[0] >= start).all():
         raise DomainError(
             wording(
                 "argument 'start'",

@@ -6,9 +6,7 @@ from typing import Any
 
 import attrs
 
-from tracker.algebra import congruence, product, symmetric_product, transpose
-from tracker.algebra.gaussian import conditioned
-from tracker.models.linearise import linearise
+from tracker.algebra.gaussian import conditioned, predicted, projected
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
 
@@ -20,7 +18,7 @@ class ExtendedKalmanFilter:
     Predict ``f(x)`` and ``F P F' + Q`` with F at the filtered mean; update with H at the predicted
     mean and the residual ``z - h(x)``, wrapped. The update is whitened (see `tracker.algebra`).
 
-    Reference: Bar-Shalom, Li and Kirubarajan, section 10.3; Särkkä, section 5.2; paper 0, eq. 6-8,
+    Reference: Bar-Shalom, Li and Kirubarajan (2001), section 10.3; Särkkä (2013), section 5.2; paper 0, eq. 6-8,
         with the Jacobian of eq. 31 (eq. 32 prints its columns swapped).
     Laws: those of kind "filter"; equal to the Kalman filter on linear problems.
     """
@@ -31,14 +29,11 @@ class ExtendedKalmanFilter:
         self, state: Gaussian, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
     ) -> Gaussian:
         """``f(x)`` and ``F P F' + Q``."""
-        mean, F = linearise(motion, state.mean, dt, u, t)
-        return Gaussian.trusted(mean, congruence(F, state.cov) + motion.Q(state.mean, dt))
+        return predicted(state, motion, dt, u, t)
 
     def project(self, state: Gaussian, sensor: SensorModel, pose: Any = None) -> Projection:
         """``h(x)`` and ``H P H' + R``."""
-        z, H = linearise(sensor, state.mean, pose)
-        HP = product(H, state.cov)
-        return Projection(z, symmetric_product(HP, H) + sensor.R(state.mean, pose), transpose(HP))
+        return projected(state, sensor, pose)
 
     def update(
         self,

@@ -7,16 +7,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.algebra import (
-    congruence,
-    dense,
-    gain,
-    product,
-    symmetric_product,
-    transpose,
-    without_missing,
-)
-from tracker.algebra.gaussian import conditioned
+from tracker.algebra import congruence, dense, gain, product, without_missing
+from tracker.algebra.gaussian import conditioned, predicted, projected
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
@@ -30,7 +22,7 @@ class JosephFilter:
     about twice the whitened form and differs from it only by rounding: choose it when R is many
     orders below ``H P H'``.
 
-    Reference: Bucy and Joseph 1968; Bar-Shalom, Li and Kirubarajan, eq. 5.2.3-18.
+    Reference: Bucy and Joseph 1968; Bar-Shalom, Li and Kirubarajan (2001), eq. 5.2.3-18.
     Laws: those of kind "filter".
     """
 
@@ -40,14 +32,11 @@ class JosephFilter:
         self, state: Gaussian, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
     ) -> Gaussian:
         """``f(x)`` and ``F P F' + Q``."""
-        mean, F = linearise(motion, state.mean, dt, u, t)
-        return Gaussian.trusted(mean, congruence(F, state.cov) + motion.Q(state.mean, dt))
+        return predicted(state, motion, dt, u, t)
 
     def project(self, state: Gaussian, sensor: SensorModel, pose: Any = None) -> Projection:
         """``h(x)`` and ``H P H' + R``."""
-        z, H = linearise(sensor, state.mean, pose)
-        HP = product(H, state.cov)
-        return Projection(z, symmetric_product(HP, H) + sensor.R(state.mean, pose), transpose(HP))
+        return projected(state, sensor, pose)
 
     def update(
         self,

@@ -6,9 +6,7 @@ from typing import Any
 
 import attrs
 
-from tracker.algebra import congruence, product, symmetric_product, transpose
-from tracker.algebra.gaussian import conditioned
-from tracker.models.linearise import linearise
+from tracker.algebra.gaussian import conditioned, predicted, projected
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
 
@@ -31,14 +29,11 @@ class KalmanFilter:
         self, state: Gaussian, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
     ) -> Gaussian:
         """``F x + B u`` and ``F P F' + Q``."""
-        mean, F = linearise(motion, state.mean, dt, u, t)
-        return Gaussian.trusted(mean, congruence(F, state.cov) + motion.Q(state.mean, dt))
+        return predicted(state, motion, dt, u, t)
 
     def project(self, state: Gaussian, sensor: SensorModel, pose: Any = None) -> Projection:
         """``H x`` and ``H P H' + R``."""
-        z, H = linearise(sensor, state.mean, pose)
-        HP = product(H, state.cov)
-        return Projection(z, symmetric_product(HP, H) + sensor.R(state.mean, pose), transpose(HP))
+        return projected(state, sensor, pose)
 
     def update(
         self,

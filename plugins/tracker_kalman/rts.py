@@ -20,7 +20,7 @@ class RauchTungStriebel:
     ``G = P F' (P-)^-1``, ``xs = x + G (xs+ - x-)``, ``Ps = P + G (Ps+ - P-) G'``, with the predicted
     moments that the filter stored, so that it is right after adapted or per-lane noise.
 
-    Reference: Särkkä, Bayesian Filtering and Smoothing, section 8.2; paper 0, eq. 24.
+    Reference: Särkkä (2013), Bayesian Filtering and Smoothing, section 8.2; paper 0, eq. 24.
     Laws: those of kind "smoother".
     """
 

@@ -25,7 +25,7 @@ def line(
     Truth is drawn from the prior, so that a Kalman filter is exactly consistent: its NEES is
     chi-square with n degrees of freedom at every step.
 
-    Reference: Särkkä, Bayesian Filtering and Smoothing, example 4.3.
+    Reference: Särkkä (2013), Bayesian Filtering and Smoothing, example 4.3.
     """
     motion = constant_velocity(density=density, axes=axes)
     cov = np.diag([100.0] * axes + [4.0] * axes)

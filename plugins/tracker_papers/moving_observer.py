@@ -27,7 +27,7 @@ def moving_observer(
     along +x in turn ("manoeuvring"). With a straight observer the range cannot be seen.
 
     Units: metres, seconds, radians; azimuth counter-clockwise from +x.
-    Reference: paper 2, eq. 9-12 for the geometry; Bar-Shalom, Li and Kirubarajan, section 10.3.4.
+    Reference: paper 2, eq. 9-12 for the geometry; Bar-Shalom, Li and Kirubarajan (2001), section 10.3.4.
     """
     one_of("path", path, PATHS)
     truth_motion = constant_velocity(density=0.0)

@@ -577,7 +577,7 @@ class Steps:
             few = z.tolist()
             if math.inf in few or -math.inf in few:
                 return None
-        if (dt < 0) if not time else np.any(np.less(dt, 0)):
+        if not ((dt >= 0) if not time else np.all(np.greater_equal(dt, 0))):
             return None
         before = _before(state, bound)
         if before is None:

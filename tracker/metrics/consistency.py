@@ -20,7 +20,7 @@ def nees(errors: Array, cov: Array) -> Array:
     Shapes:
         errors ``(T, n, *batch)``; cov ``(T, n, n, *batch)``; result ``(T, *batch)``.
     Reference:
-        Bar-Shalom, Li and Kirubarajan, section 5.4.2.
+        Bar-Shalom, Li and Kirubarajan (2001), section 5.4.2.
     """
     e, P = np.moveaxis(errors, 0, -1), np.moveaxis(cov, 0, -1)
     with np.errstate(all="ignore"):
