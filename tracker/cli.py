@@ -173,11 +173,14 @@ def _named(name: str, kind: str | None) -> tuple[Component, ...]:
 
 
 def _show(component: Component) -> None:
+    import inspect
+
     from tracker.registry import describe_parameters
 
     click.echo(f"{component}\n{component.summary}\n")
     facts = [
         ("source", component.source),
+        *(("", work) for work in component.works),
         ("origin", str(component.origin)),
         ("target", component.target),
         ("tags", ", ".join(component.tags)),
@@ -190,6 +193,9 @@ def _show(component: Component) -> None:
     facts += _abilities(component, required=[p.name for p in parameters if p.required])
     facts += _laws(component)
     _facts(facts)
+    said = inspect.getdoc(component.load())
+    if said:
+        click.echo("\n" + said.split("\n\nExample")[0])
     if parameters:
         click.echo()
         print_table(

@@ -212,12 +212,14 @@ class Estimator:
         return attrs.evolve(self, motion=motion, sensors=sensors)
 
     def cite(self) -> str:
-        """The sources of its components, one line each."""
+        """The sources of its components, one line each, then the works that they name by number."""
         if not self.sources:
             return "(made of objects that are not in the registry)"
-        return "\n".join(
+        lines = [
             f"{c.kind} {c.name}: {c.summary.rstrip('.')}. Source: {c.source}." for c in self.sources
-        )
+        ]
+        works = dict.fromkeys(work for c in self.sources for work in c.works)
+        return "\n".join([*lines, *sorted(works)])
 
     def explain(self) -> str:
         """In words: whether it is compiled, which of its models can be traced, and why not."""

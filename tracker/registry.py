@@ -96,6 +96,23 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
 )
 KINDS: tuple[str, ...] = tuple(MEANINGS)
 
+PAPERS: Mapping[str, str] = MappingProxyType(
+    {
+        "0": "M. H. Ashtari, H. Ghanbarpour Asl, M. Haghparast: Using Observation Angle Data for "
+        "Position Determination of Objects. Accepted 2013.",
+        "1": "A. Marvian Mashhad, A. Aminian, A. Karsaz: Estimation of the manoeuvre of several "
+        "underwater robots by a two-stage Kalman filter and neural network.",
+        "2": "S. E. Razavi, P. Poursoltani, N. Pariz: Optimal observer path in tracking two targets "
+        "using bearing measurements. Journal of Intelligent Procedures in Electrical Technology "
+        "10 (38), 2019, pp. 33-42.",
+        "3": "Y. Norouzi, N. Bayat: Navigation Quality Improvement Using Passive Angle of Arrival "
+        "Measurement. Accepted 2017.",
+        "4": "A. H. Naseri Salahdar: Passive tracking of a single underwater target using the "
+        "extended Kalman filter. MSc thesis, Shahrood University of Technology.",
+    }
+)
+"""The works that "paper 0" to "paper 4" stand for."""
+
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TARGET = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 _TRACEBACK_LINES = 12
@@ -231,6 +248,12 @@ class Component:
             return paper
         numbered = self.equations[0][0] in "(0123456789"  # else it says itself what it is
         return f"{paper}, {'eq. ' if numbered else ''}{', '.join(self.equations)}"
+
+    @property
+    def works(self) -> tuple[str, ...]:
+        """The papers that `source` names by number, in full."""
+        named = dict.fromkeys(re.findall(r"paper (\d)", self.source))
+        return tuple(f"paper {number}: {PAPERS[number]}" for number in named if number in PAPERS)
 
     def missing(self) -> tuple[tuple[str, str], ...]:
         """Those of ``requires`` that cannot be imported here."""

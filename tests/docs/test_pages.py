@@ -110,3 +110,11 @@ def test_sections_of_a_docstring_become_definitions_and_stars_stay_stars() -> No
         r"Sums (T, \*batch).", "", "", "Shapes", "    x ``(n, *b)``", "", "Example",
         "    >>> 1 + 1", "    2", "",
     ]  # fmt: skip
+
+
+def test_the_page_of_papers_names_each_as_the_registry_does() -> None:
+    from tracker.registry import PAPERS
+
+    page = " ".join((ROOT / "docs" / "reference" / "papers.md").read_text(encoding="utf-8").split())
+    for number, work in PAPERS.items():
+        assert f"| {number} | {work.split('.')[0]}" in page.replace(".*", ".")

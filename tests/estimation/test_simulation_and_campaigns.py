@@ -282,7 +282,7 @@ def test_a_report_is_one_page_that_loads_nothing(tmp_path, est, scene):
     assert "default-src 'none'" in page
     assert "http://" not in page.replace("http://www.w3.org", "")
     assert "constant_velocity" in page  # cited
-    assert campaign.plot().axes[0].get_ylabel() == "position RMSE"
+    assert campaign.plot().axes[0].get_ylabel() == "position RMSE [m]"
 
 
 def test_an_estimator_cites_the_components_it_was_given_by_name_or_as_objects(est):
@@ -293,5 +293,9 @@ def test_an_estimator_cites_the_components_it_was_given_by_name_or_as_objects(es
         "sensor azimuth",
         "filter ekf1",
         "smoother rts",
+        "paper 0",
+        "paper 2",
+        "paper 3",
+        "paper 4",
     ]
-    assert "paper 0, eq. 24" in lines[-1]
+    assert "paper 0, eq. 24" in lines[4]

@@ -62,6 +62,12 @@ def test_too_little_confidence_is_said_too() -> None:
     assert score.verdict == "underconfident"
 
 
+def test_small_residuals_do_not_acquit_large_errors() -> None:
+    score, _ = score_tracks(*history(sigma=1.8, nis=0.5))
+    assert 2.0 < score.nees < 7.38
+    assert score.verdict == "mixed"
+
+
 def test_only_the_span_of_the_truth_is_judged() -> None:
     made, truth = history()
     made.mean[300:] += 1000.0

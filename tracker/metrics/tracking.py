@@ -76,15 +76,21 @@ class TrackScore:
     nees_band: Band
     used: float
     seconds: float
+    degrees: int = 2
 
     @property
     def verdict(self) -> str:
-        """In one word: 'overconfident' if either statistic says so, then 'underconfident'."""
+        """In one word: 'overconfident' if either statistic says so, then 'underconfident'.
+
+        'mixed' if residuals are smaller than claimed while position errors are larger (mean NEES above
+        its ``degrees``): noise was set too large, and something else is wrong.
+        """
         found = {self.nees_band.verdict(self.nees), self.nis_band.verdict(self.nis)}
-        return next(
+        word = next(
             (word for word in ("undefined", "overconfident", "underconfident") if word in found),
             "consistent",
         )
+        return "mixed" if word == "underconfident" and self.nees > self.degrees else word
 
     @property
     def words(self) -> str:
@@ -155,6 +161,7 @@ def score_tracks(
                 nees_band=chi_square_band(len(places), probability),
                 used=_mean(used.astype(np.float64)),
                 seconds=seconds,
+                degrees=len(places),
             )
         )
     return tuple(scores)

@@ -125,10 +125,12 @@ def _draw(campaign: Campaign) -> Figure:
             if not band_drawn:
                 _band(middle, campaign, scores)
                 band_drawn = True
-    top.set(yscale="log", ylabel="position RMSE", title=campaign.scenario)
+    top.set(yscale="log", ylabel="position RMSE [m]", xlabel="time [s]", title=campaign.scenario)
     middle.axhline(1.0, color=PALETTE[2], linewidth=1.0)
     middle.set(yscale="log", ylabel="NEES / n", xlabel="time [s]")
-    bottom.set(xscale="log", ylabel="share of runs", xlabel="RMSE of a run", ylim=(0.0, 1.0))
+    bottom.set(
+        xscale="log", ylabel="share of runs", xlabel="position RMSE of a run [m]", ylim=(0.0, 1.0)
+    )
     handles, labels = middle.get_legend_handles_labels()
     picture.legend(handles, labels, loc="outside upper center", ncols=3)
     for axis in (top.yaxis, middle.yaxis, bottom.xaxis):
