@@ -87,9 +87,11 @@ def list_(kind: str | None, tag: str | None, *, as_json: bool) -> None:
     target, origin (distribution, version). A plugin that is not loaded has name, distribution, version,
     status, cause. Within a schema number keys are only ever added.
     """
-    from tracker.registry import default_registry
+    from tracker.registry import KINDS, default_registry
 
     registry = default_registry()
+    if kind and kind.endswith("s") and kind[:-1] in KINDS:
+        kind = kind[:-1]  # as in tracker.sensors
     found = registry.search(kind=kind, tag=tag)
     if as_json:
         click.echo(json.dumps(_as_data(found, registry), indent=2))
@@ -213,6 +215,8 @@ def _show(component: Component) -> None:
 def _plain_type(parameter: Parameter) -> str:
     """The annotation without the unit, which has a column of its own."""
     text = parameter.annotation
+    if "numpy._typing._array_like" in text:  # an alias that Python wrote out
+        return "ArrayLike"
     if text.startswith("Annotated[") and text.endswith("]"):
         return text[len("Annotated[") : text.rindex(",")]
     return text

@@ -56,23 +56,34 @@ _MEANS = {
 }
 
 
+def lacking(user: str, needs: Sequence[str], role: str, component: Any) -> str:
+    """In words, what a model lacks of what a filter or smoother needs, and the way out; '' if nothing."""
+    absent = missing_capabilities(component, needs)
+    if not absent:
+        return ""
+    name = getattr(component, "name", type(component).__name__)
+    reason = getattr(component, "why_opaque", "")
+    way = (
+        "Use a filter for nonlinear models, such as 'ekf1'."
+        if absent == ["linear"] and not reason
+        else "Write the model over components so that derivatives follow, give them by hand, or use a "
+        "filter that does not need them (`tracker list filter`)."
+    )
+    return (
+        f"{user} needs {' and '.join(_MEANS.get(a, a) for a in absent)}, which {role} {name!r} does "
+        f"not provide{f' ({reason})' if reason else ''}. {way}"
+    )
+
+
 def check_capabilities(user: str, needs: Sequence[str], role: str, component: Any) -> None:
     """Refuse a model that lacks what a filter or smoother needs.
 
     Raises:
         CapabilityError: naming both sides and the ways out.
     """
-    absent = missing_capabilities(component, needs)
-    if not absent:
-        return
-    name = getattr(component, "name", type(component).__name__)
-    reason = getattr(component, "why_opaque", "")
-    raise CapabilityError(
-        f"{user} needs {' and '.join(_MEANS.get(a, a) for a in absent)}, which {role} {name!r} does "
-        f"not provide{f' ({reason})' if reason else ''}. Write the model over components so that "
-        "derivatives follow, give them by hand, or use a filter that does not need them "
-        "(`tracker list filter`)."
-    )
+    words = lacking(user, needs, role, component)
+    if words:
+        raise CapabilityError(words)
 
 
 # --------------------------------------------------------------------------------- estimator
@@ -297,11 +308,16 @@ def estimator(
     sources: list[Component] = []
 
     def made(kind: str, value: Any) -> Any:
-        from tracker.registry import default_registry
+        from tracker.registry import default_registry, describe_parameters
 
         if isinstance(value, str):
             component = default_registry().get(kind, value)
             sources.append(component)
+            if any(p.required for p in describe_parameters(component)):
+                raise CapabilityError(
+                    f"{kind} {value!r} has parameters that only you can choose: pass "
+                    f"{kind}=tracker.{kind}s.make({value!r}, ...), see `tracker show {value}`."
+                )
             return component.make()
         # An object made from a registered component still knows its name, so it can be cited.
         names = dict.fromkeys((getattr(value, "name", None), *getattr(value, "parts", ())))
@@ -651,6 +667,7 @@ __all__ = [
     "estimator",
     "filter",
     "fitting",
+    "lacking",
     "missing_capabilities",
     "record_lanes",
     "smooth",

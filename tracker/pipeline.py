@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tracker.algebra import mahalanobis
 from tracker.errors import CapabilityError, DomainError, ShapeError, TrackerError, wording
-from tracker.estimation import missing_capabilities
+from tracker.estimation import lacking
 from tracker.protocols import Associator, Filter, Gate, MotionModel, SensorModel
 from tracker.types import Array, Innovation, Projection, Scan, Tracks
 
@@ -289,17 +289,9 @@ def _unfit(pipeline: Pipeline, bound: dict[str, SensorModel]) -> list[str]:
         return wrong
     needs = tuple(pipeline.filter.needs)
     for role, label, part in parts:
-        lacks = missing_capabilities(part, needs) if role in ("motion", "sensor") else []
-        if lacks:
-            why = getattr(part, "why_opaque", "")
-            wrong.append(
-                wording(
-                    label,
-                    got=f"no {' and no '.join(lacks)}" + (f" ({why})" if why else ""),
-                    expected=f"what filter {_name(pipeline.filter)!r} needs: {', '.join(needs)}",
-                    do=f"write the {role} over components, or use a filter that needs less",
-                )
-            )
+        if role in ("motion", "sensor"):
+            words = lacking(f"filter {_name(pipeline.filter)!r}", needs, role, part)
+            wrong += [f"{label}: {words}"] if words else []
     space = pipeline.motion.space
     for name, sensor in bound.items():
         if sensor.state == space:

@@ -1,5 +1,7 @@
 """Filtering and smoothing records: shapes, missing data, time, sensors, and what a user reads when wrong."""
 
+import math
+
 import attrs
 import hypothesis.strategies as st
 import numpy as np
@@ -368,3 +370,40 @@ def test_no_tile_holds_one_lane_alone():
         widths = [len(range(lanes)[tile]) for tile in tiles((lanes,), 75)]
         assert min(widths) > 1
         assert sum(widths) == lanes
+
+
+def test_a_bare_name_that_needs_parameters_says_how_to_give_them():
+    with pytest.raises(CapabilityError, match=r"motions\.make\('constant_velocity'"):
+        tk.estimator(motion="constant_velocity", sensor=BEARINGS)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"motion": BEARINGS, "sensor": MOTION}, "no method 'f'"),
+        ({"sensor": []}, "needs a sensor"),
+        ({"filter": object()}, "no method 'update'"),
+    ],
+)
+def test_parts_that_play_no_part_are_refused_by_name(change, words):
+    with pytest.raises(CapabilityError, match=words):
+        estimator(**change)
+
+
+@pytest.mark.parametrize(
+    ("record", "prior", "words"),
+    [
+        (np.zeros((3, 2)), PRIOR, r"tk\.Record"),
+        (bearings(3), (np.zeros(4), np.eye(4)), r"tk\.Gaussian"),
+    ],
+)
+def test_what_is_no_record_or_prior_is_told_what_to_make(record, prior, words):
+    with pytest.raises(CapabilityError, match=words):
+        tk.filter(estimator(), record, prior)
+
+
+def test_nan_is_no_time_step_and_no_start():
+    with pytest.raises(DomainError, match="not negative"):
+        estimator().step(PRIOR, np.zeros(2), math.nan)
+    with pytest.raises(DomainError, match="start"):
+        tk.filter(estimator(), bearings(3), PRIOR, start=math.nan)

@@ -301,7 +301,8 @@ def test_every_mismatch_is_listed_at_once() -> None:
     with pytest.raises(CapabilityError) as caught:
         pipeline(motion=line, filter=KalmanFilter())
     message = str(caught.value)
-    assert "sensor 'eye': got no linear; expected what filter 'KalmanFilter' needs" in message
+    assert "sensor 'eye': filter 'KalmanFilter' needs a linear model" in message
+    assert "such as 'ekf1'" in message
     for name in ("radar", "eye"):
         assert f"sensor '{name}': got a sensor that reads states (x [m], y [m]" in message
 
@@ -316,7 +317,7 @@ def test_a_sensor_that_cannot_be_traced_says_why_it_has_no_jacobian() -> None:
     table = ComponentSensor(
         name="table", measure=measure, noise=noise, space=Space.of("height [m]"), state=PLANAR
     )
-    with pytest.raises(CapabilityError, match=r"sensor 'table': got no jacobian \(.+\); expected"):
+    with pytest.raises(CapabilityError, match=r"sensor 'table': .* needs a Jacobian.*\(.+\)"):
         pipeline(sensors={"table": table})
 
 

@@ -32,6 +32,10 @@ from tracker.report.tracking import HEAD, Outcome, findings, rows, tracking_page
 def run(config: str, out: str, *, quiet: bool) -> None:
     """Run the experiment that the file CONFIG describes.
 
+    An experiment tracks the targets of a detection log (comma-separated files of scans, detections and
+    truth, as in examples/data/autoferry) with sensors called radar, lidar, ir and eo, each a position or
+    an azimuth. For data of another kind use Python: see "Use your own data" in the documentation.
+
     Prints a table and the path of the report; writes report.html, which needs no network, and
     results.json: {"schema": 1, "title", "config", "versions", "rows": [...], "findings": [...]}, in SI
     units, null where a number is undefined. Within a schema number keys are only ever added.

@@ -249,14 +249,60 @@ def _prior(problem: _Problem, prior: Gaussian, arrays: dict[str, Array]) -> None
     arrays["P"][:] = tile(np.stack([_flat(e, 0, batch) for e in pack(prior.cov)]))
 
 
-# ----------------------------------------------------------------------------- what is offered
-def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | None) -> History:
-    """The history of a record, by the compiled forward program."""
+def _prepared(
+    estimator: Any, record: Record, prior: Gaussian, start: float | None, keep: tuple[str, ...]
+) -> tuple[_Problem, Kernel, dict[str, Array]]:
+    """The forward program of a problem and its arrays, filled in: all but what is scored against."""
     problem = _Problem.of(estimator, record, start)
-    made = kernel(problem.layout(("predicted", "filtered", "innovation")), "forward")
+    made = kernel(problem.layout(keep), "forward")
     arrays = problem.arrays(made.program)
     _prior(problem, prior, arrays)
     arrays["z"][:] = tile(_flat(record.z, 2, record.batch)[:, : arrays["z"].shape[2]])
+    return problem, made, arrays
+
+
+# ----------------------------------------------------------------------------- what is offered
+@attrs.frozen(eq=False)
+class Prepared:
+    """A bound forward program and its arrays: what a benchmark times without the arrays' making."""
+
+    program: Program
+    arrays: dict[str, Array]
+    groups: int
+    _call: Callable[[int, int], None]
+    _first: dict[str, Array]
+
+    def __call__(self) -> None:
+        """Run all steps of all lanes from the prior."""
+        for name, values in self._first.items():
+            self.arrays[name][:] = values
+        self._call(0, self.groups)
+
+
+def prepared(
+    estimator: Any,
+    record: Record,
+    prior: Gaussian,
+    start: float | None,
+    keep: tuple[str, ...] = (),
+    truth: Any = None,
+) -> Prepared:
+    """The forward program of a problem, ready to be run many times.
+
+    Keep: as in `tracker.compile.fuse.forward`; "scores" need the truth.
+    """
+    problem, made, arrays = _prepared(estimator, record, prior, start, keep)
+    if truth is not None:
+        arrays["truth"][:] = tile(_flat(truth, 2, record.batch))
+    first = {name: arrays[name].copy() for name in made.program.states}
+    call = made.bind(arrays, problem.groups, len(record))
+    return Prepared(made.program, arrays, problem.groups, call, first)
+
+
+def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | None) -> History:
+    """The history of a record, by the compiled forward program."""
+    keep = ("predicted", "filtered", "innovation")
+    problem, made, arrays = _prepared(estimator, record, prior, start, keep)
     made.bind(arrays, problem.groups, len(record))(0, problem.groups)
     score = problem.lanes_of(arrays["score"])
     innovation = Innovation(
@@ -334,12 +380,8 @@ def scored(
     "smoother".
     """
     smooth = estimator.smoother is not None
-    problem = _Problem.of(estimator, record, start)
     keep = ("scores", "predicted", "filtered") if smooth else ("scores",)
-    made = kernel(problem.layout(keep), "forward")
-    arrays = problem.arrays(made.program)
-    _prior(problem, prior, arrays)
-    arrays["z"][:] = tile(record.z[:, : arrays["z"].shape[2]])
+    problem, made, arrays = _prepared(estimator, record, prior, start, keep)
     arrays["truth"][:] = tile(truth)
     made.bind(arrays, problem.groups, len(record))(0, problem.groups)
     out = {"filter": _sums(problem, arrays)}

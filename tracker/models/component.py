@@ -405,7 +405,10 @@ class ComponentFunction:
         if x.dtype == object:
             raise TraceError(self.why_opaque)
         given = {name: keywords[name] for name in self.keywords}
-        entries, shape = _flat(self.author(*(x[i] for i in self.places), **given))
+        try:
+            entries, shape = _flat(self.author(*(x[i] for i in self.places), **given))
+        except (TypeError, ValueError) as error:
+            raise TraceError(f"{self.why_opaque}; on arrays it fails too: {error}") from error
         batch = np.broadcast_shapes(x.shape[1:], *(np.shape(e) for e in entries))
         out = np.empty((len(entries), *batch))
         for k, entry in enumerate(entries):
