@@ -21,6 +21,7 @@ from tracker.compile.online import Steps
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.protocols import Filter, MotionModel, SensorModel, Smoother
 from tracker.registry import Component
+from tracker.threads import each
 from tracker.types import ArrayLike, Gaussian, History, Innovation, Record, Trajectory
 
 LANE_BYTES = 128_000
@@ -339,9 +340,16 @@ def estimator(
 
 # ------------------------------------------------------------------------------------- running
 def filter(  # noqa: A001 - the field's word
-    estimator: Estimator, record: Record, prior: Gaussian, *, start: float | None = None
+    estimator: Estimator,
+    record: Record,
+    prior: Gaussian,
+    *,
+    start: float | None = None,
+    workers: int = 1,
 ) -> History:
     """Filter a record: predict to each row's time, then update with it.
+
+    ``workers`` threads share the lanes; they change no bit.
 
     Shapes:
         record and prior of any batch shape; a prior without batch axes serves all lanes.
@@ -355,23 +363,31 @@ def filter(  # noqa: A001 - the field's word
     """
     prior = fitting(estimator, record, prior, start)
     if record.z.size and not compiled.reason(estimator):
-        return compiled.filtered(estimator, record, prior, start)
+        return compiled.filtered(estimator, record, prior, start, workers)
     if record.z.size and not mixed.reason(estimator):
         return mixed.filtered(estimator, record, prior, start)
     if record.batch and int(np.prod(record.batch)) == 1:
         wide = filter(estimator, record_lanes(record, PAIR), prior[..., PAIR], start=start)
         return _history_lanes(wide, slice(0, 1))
     history = _allocated(estimator, record, prior)
-    with at_once():
-        for tile in tiles(record.batch, prior.n):
-            part, some, whole = _tile(estimator, record, prior, history, tile)
+
+    def work(tile: slice) -> None:
+        part, some, whole = _tile(estimator, record, prior, history, tile)
+        with at_once():
             for k, _, predicted, state, innovation in steps(part, some[0], some[1], start):
                 _store(whole, k, predicted, state, innovation)
+
+    each(work, tiles(record.batch, prior.n), workers)
     return history
 
 
 def smooth(
-    estimator: Estimator, record: Record, prior: Gaussian, *, start: float | None = None
+    estimator: Estimator,
+    record: Record,
+    prior: Gaussian,
+    *,
+    start: float | None = None,
+    workers: int = 1,
 ) -> History:
     """Filter a record forwards, then smooth it backwards with the estimator's smoother.
 
@@ -383,29 +399,33 @@ def smooth(
             "smooth() needs an estimator with a smoother: got one without. "
             "Build it with smoother='rts'."
         )
-    history = filter(estimator, record, prior, start=start)
-    return smoothed(estimator, history)
+    history = filter(estimator, record, prior, start=start, workers=workers)
+    return smoothed(estimator, history, workers)
 
 
-def smoothed(estimator: Estimator, history: History) -> History:
+def smoothed(estimator: Estimator, history: History, workers: int = 1) -> History:
     """A filtered history with its smoothed trajectory, tile by tile."""
     smoother = estimator.smoother
     assert smoother is not None  # noqa: S101 - callers checked
     if history.filtered.mean.size and not compiled.why_not_backwards(estimator):
-        return compiled.smoothed(estimator, history)
+        return compiled.smoothed(estimator, history, workers)
     batch, n = history.filtered.batch, history.filtered.mean.shape[1]
     if batch and int(np.prod(batch)) == 1:
         return _history_lanes(smoothed(estimator, _history_lanes(history, PAIR)), slice(0, 1))
     parts = tiles(batch, n)
-    with at_once():
-        if len(parts) == 1:
+    if len(parts) == 1:
+        with at_once():
             return smoother.smooth(history, estimator.motion)
-        mean, cov = np.empty_like(history.filtered.mean), np.empty_like(history.filtered.cov)
-        for tile in parts:
+    mean, cov = np.empty_like(history.filtered.mean), np.empty_like(history.filtered.cov)
+
+    def work(tile: slice) -> None:
+        with at_once():
             part = _history_lanes(history, tile)
             done = smoother.smooth(part, _cut(estimator.motion, tile)).smoothed
-            assert done is not None  # noqa: S101 - a smoother fills it in
-            mean[..., tile], cov[..., tile] = done.mean, done.cov
+        assert done is not None  # noqa: S101 - a smoother fills it in
+        mean[..., tile], cov[..., tile] = done.mean, done.cov
+
+    each(work, parts, workers)
     return attrs.evolve(history, smoothed=Trajectory(mean, cov))
 
 

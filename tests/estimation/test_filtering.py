@@ -407,3 +407,25 @@ def test_nan_is_no_time_step_and_no_start():
         estimator().step(PRIOR, np.zeros(2), math.nan)
     with pytest.raises(DomainError, match="start"):
         tk.filter(estimator(), bearings(3), PRIOR, start=math.nan)
+
+
+def test_threads_share_the_lanes_and_change_no_bit():
+    est, record = estimator(), bearings(6, (2300,))
+    alone = tk.smooth(est, record, PRIOR)
+    for workers in (2, 3):
+        shared = tk.smooth(est, record, PRIOR, workers=workers)
+        np.testing.assert_array_equal(shared.smoothed.mean, alone.smoothed.mean)
+        np.testing.assert_array_equal(shared.innovation.loglik, alone.innovation.loglik)
+    with pytest.raises(DomainError, match="workers"):
+        tk.smooth(est, record, PRIOR, workers=0)
+
+
+def test_a_record_cut_in_two_resumes_where_it_was_left():
+    est, record = estimator(smoother=None), bearings(20, (9,))
+    whole = tk.filter(est, record, PRIOR, start=0.0)
+    first = tk.filter(est, tk.Record(record.t[:8], record.z[:8]), PRIOR, start=0.0)
+    rest = tk.filter(
+        est, tk.Record(record.t[8:], record.z[8:]), first.filtered.at(-1), start=record.t[7]
+    )
+    np.testing.assert_array_equal(rest.filtered.mean, whole.filtered.mean[8:])
+    np.testing.assert_array_equal(rest.filtered.cov, whole.filtered.cov[8:])

@@ -18,8 +18,9 @@ import numpy as np
 from tracker.compile import objects
 from tracker.compile.fuse import Layout, backward, forward, pack, structure, triangle, why_not
 from tracker.compile.llvm import Kernel
-from tracker.compile.program import WIDTH, Program, Rate, allocate, tile, untile
+from tracker.compile.program import BLOCK, WIDTH, Program, Rate, allocate, tile, untile
 from tracker.errors import CapabilityError, ConfigError, TraceError
+from tracker.threads import each, shares
 from tracker.types import Array, Gaussian, History, Innovation, Record, Trajectory
 
 MISSING = "llvmlite is not installed (pip install 'tracker-lab[fast]')"
@@ -299,11 +300,21 @@ def prepared(
     return Prepared(made.program, arrays, problem.groups, call, first)
 
 
-def filtered(estimator: Any, record: Record, prior: Gaussian, start: float | None) -> History:
+def _call(
+    kernel_: Kernel, arrays: Mapping[str, Array], groups: int, steps: int, workers: int
+) -> None:
+    """Run over all groups of lanes; threads take whole blocks of groups, so no bit depends on them."""
+    run = kernel_.bind(arrays, groups, steps)
+    each(lambda share: run(*share), shares(groups, workers, BLOCK), workers)
+
+
+def filtered(
+    estimator: Any, record: Record, prior: Gaussian, start: float | None, workers: int = 1
+) -> History:
     """The history of a record, by the compiled forward program."""
     keep = ("predicted", "filtered", "innovation")
     problem, made, arrays = _prepared(estimator, record, prior, start, keep)
-    made.bind(arrays, problem.groups, len(record))(0, problem.groups)
+    _call(made, arrays, problem.groups, len(record), workers)
     score = problem.lanes_of(arrays["score"])
     innovation = Innovation(
         problem.lanes_of(arrays["residual"]),
@@ -337,7 +348,7 @@ def _begin_backwards(arrays: dict[str, Array], n: int) -> None:
         arrays["final"][:] = np.nan
 
 
-def smoothed(estimator: Any, history: History) -> History:
+def smoothed(estimator: Any, history: History, workers: int = 1) -> History:
     """A filtered history with its smoothed trajectory, by the compiled backward program."""
     shape = history.filtered.mean.shape
     record = object.__new__(Record)
@@ -353,7 +364,7 @@ def smoothed(estimator: Any, history: History) -> History:
         upper = np.triu_indices(shape[1])
         arrays[f"{name}.P"][:] = tile(_flat(source.cov[:, upper[0], upper[1]], 2, record.batch))
     _begin_backwards(arrays, shape[1])
-    made.bind(arrays, problem.groups, shape[0])(0, problem.groups)
+    _call(made, arrays, problem.groups, shape[0], workers)
     out = Trajectory(problem.lanes_of(arrays["out.x"]), problem.matrices(arrays["out.P"]))
     return attrs.evolve(history, smoothed=out)
 
