@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from tracker.errors import TrackerError as TrackerError
     from tracker.estimation import Estimator as Estimator
     from tracker.estimation import estimator as estimator
-    from tracker.estimation import filter as filter  # noqa: A004
+    from tracker.estimation import filter as filter  # noqa: A004 - the field's word
     from tracker.estimation import smooth as smooth
     from tracker.geodesy import LocalTangentPlane as LocalTangentPlane
     from tracker.hookspecs import hookimpl as hookimpl

@@ -54,7 +54,7 @@ class LinearMotion:
         x: ArrayLike,
         dt: Any,
         u: ArrayLike | None = None,
-        t: Any = None,  # noqa: ARG002
+        t: Any = None,  # noqa: ARG002 - the protocol passes it
     ) -> tuple[Any, Any]:
         """`f` and `jacobian` together."""
         if u is not None:

@@ -34,7 +34,7 @@ def _compiled(source: str, function: str, names: dict[str, Any], label: str) -> 
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     scope = dict(names)
     # The text was written by this module from operations it knows: no name in it is foreign.
-    exec(compile(source, filename, "exec"), scope)  # noqa: S102
+    exec(compile(source, filename, "exec"), scope)  # noqa: S102 - see above
     made: Callable[..., Any] = scope[function]
     return made
 

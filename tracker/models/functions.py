@@ -73,7 +73,7 @@ _absolute = _define("abs", abs, np.abs)
 _minimum_of = _define("min", _minimum, np.minimum)
 _maximum_of = _define("max", _maximum, np.maximum)
 _less = _define("less", lambda a, b: a < b, np.less)
-_isnan = _define("isnan", lambda a: a != a, np.isnan)  # noqa: PLR0124
+_isnan = _define("isnan", lambda a: a != a, np.isnan)  # noqa: PLR0124 - the test for NaN
 _where = _define("where", lambda c, a, b: a if c else b, np.where)
 
 

@@ -1,5 +1,5 @@
 """The laws, one module per kind of component, after those that hold for every kind."""
 
 # Importing declares the laws, and this order is that of every report.
-from tracker.testing.laws import every  # noqa: F401, I001
-from tracker.testing.laws import motion, sensor, filter, smoother, gate, associator  # noqa: A004, F401
+from tracker.testing.laws import every  # noqa: F401, I001 - importing registers the laws, in this order
+from tracker.testing.laws import motion, sensor, filter, smoother, gate, associator  # noqa: A004, F401 - as above

@@ -90,12 +90,12 @@ def _global_state(seed: int) -> Iterator[None]:
     """The legacy global generators in a known state, and afterwards as they were."""
     before, legacy = random.getstate(), np.random.get_state()  # noqa: NPY002 - what is watched
     random.seed(seed)
-    np.random.set_state(np.random.RandomState(seed).get_state())  # noqa: NPY002
+    np.random.set_state(np.random.RandomState(seed).get_state())  # noqa: NPY002 - what is watched
     try:
         yield
     finally:
         random.setstate(before)
-        np.random.set_state(legacy)  # noqa: NPY002
+        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
 
 
 def _legacy() -> tuple[Any, ...]:
