@@ -235,6 +235,10 @@ def emit(program: Program) -> str:
             per_step[name] = w.emit(f"mul i64 %gt, {count * WIDTH}")
         elif rate == Rate.STEP:
             per_step[name] = w.emit(f"mul i64 %t, {count}")
+    for name, (olds, length) in low.delays.items():
+        slot = w.emit(f"urem i64 %k, {length}")
+        row = w.emit(f"add i64 {w.emit(f'mul i64 %g, {length}')}, {slot}")
+        per_step[name] = w.emit(f"mul i64 {row}, {len(olds) * WIDTH}")
     now = [n for n in computed if rates[n.index] & Rate.STEP]
     common = [n for n in now if shared(n)]
     scalars = [n for n in common if rates[n.index] == Rate.STEP]
@@ -252,6 +256,9 @@ def emit(program: Program) -> str:
                 at = w.offset(base, i * WIDTH)
                 value = w.emit(f"fadd {_V} {w.load(name, at, True)}, {w.operand(node, True)}")
                 w.store(value, name, at)
+        for name, nodes in low.fed[variant].items():
+            for i, node in enumerate(nodes):
+                w.store(w.operand(node, True), name, w.offset(per_step[name], i * WIDTH))
         return [w.operand(n, True) for name in low.states for n in low.next[variant][name]]
 
     if low.variants == 1:

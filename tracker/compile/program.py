@@ -42,7 +42,7 @@ _OFTEN = {
 
 
 class Program:
-    """Inputs by rate, states carried from step to step, totals, curves and histories.
+    """Inputs by rate, states carried from step to step, delay lines, totals, curves and histories.
 
     A program may have several ``variants`` of its step, of which a per-step input selects one (the
     sensor that measured): everything that only one of them needs is computed only then.
@@ -57,6 +57,8 @@ class Program:
         self.next: list[dict[str, list[Node]]] = [{} for _ in range(variants)]
         self.histories: list[dict[str, list[Node]]] = [{} for _ in range(variants)]
         self.curves: list[dict[str, list[Node]]] = [{} for _ in range(variants)]
+        self.delays: dict[str, tuple[list[Node], int]] = {}
+        self.fed: list[dict[str, list[Node]]] = [{} for _ in range(variants)]
         self.place: dict[str, tuple[str, int]] = {}
 
     # ---------------------------------------------------------------- composing
@@ -87,6 +89,19 @@ class Program:
         """Values added up over the lanes of a block, for every step."""
         self.curves[variant][name] = [self.graph.const(e) for e in entries]
 
+    def delay(self, name: str, count: int, steps: int) -> list[Node]:
+        """What was fed to the line ``steps`` steps ago, per lane; what its array held, before that.
+
+        The array is a ring: step k reads, then writes, the slot ``k % steps``. A window sum, for
+        instance, adds what is new and takes away what comes out of the line.
+        """
+        self.delays[name] = (self._named(name, count), steps)
+        return self.delays[name][0]
+
+    def feed(self, name: str, entries: Sequence[Entry], variant: int = 0) -> None:
+        """What goes into a delay line at this step."""
+        self.fed[variant][name] = [self.graph.const(e) for e in entries]
+
     def _named(self, name: str, count: int) -> list[Node]:
         for i in range(count):
             self.place[f"{name}.{i}"] = (name, i)
@@ -95,7 +110,12 @@ class Program:
     # ------------------------------------------------------------------- reading
     def roots(self, variant: int) -> list[Node]:
         """Everything that a variant of the step computes, in a fixed order."""
-        groups = (self.next[variant], self.histories[variant], self.curves[variant])
+        groups = (
+            self.next[variant],
+            self.histories[variant],
+            self.curves[variant],
+            self.fed[variant],
+        )
         return [n for group in groups for nodes in group.values() for n in nodes]
 
     def finished(self) -> None:
@@ -108,9 +128,14 @@ class Program:
             ("states", self.next),
             ("histories", self.histories),
             ("curves", self.curves),
+            ("delay lines", self.fed),
         ):
             sizes = [{k: len(v) for k, v in group.items()} for group in groups]
-            expected = {k: len(v) for k, v in self.states.items()} if kind == "states" else sizes[0]
+            expected = sizes[0]
+            if kind == "states":
+                expected = {k: len(v) for k, v in self.states.items()}
+            elif kind == "delay lines":
+                expected = {k: len(nodes) for k, (nodes, _) in self.delays.items()}
             for found in sizes:
                 if found != expected:
                     raise ShapeError(
@@ -125,7 +150,8 @@ class Program:
         for node in order:
             if node.op == "input":
                 name = self.place[node.value][0]
-                out[node.index] = Rate.BOTH if name in self.states else self.inputs[name][1]
+                carried = name in self.states or name in self.delays
+                out[node.index] = Rate.BOTH if carried else self.inputs[name][1]
             else:
                 rate = Rate.CALL
                 for a in node.args:
@@ -141,6 +167,8 @@ class Program:
             time = (steps,) if rate & Rate.STEP else ()
             out[name] = (*lead, *time, count, *((WIDTH,) if lead else ()))
         out |= {name: (groups, len(nodes), WIDTH) for name, nodes in self.states.items()}
+        for name, (nodes, length) in self.delays.items():
+            out[name] = (groups, length, len(nodes), WIDTH)
         for name, nodes in self.histories[0].items():
             out[name] = (groups, steps, len(nodes), WIDTH)
         for name, nodes in self.curves[0].items():
@@ -152,6 +180,9 @@ class Program:
         low = Program(backward=self.backward, variants=self.variants)
         low.inputs, low.place = self.inputs, self.place
         low.states = {k: low._named(k, len(v)) for k, v in self.states.items()}
+        low.delays = {
+            k: (low._named(k, len(nodes)), steps) for k, (nodes, steps) in self.delays.items()
+        }
         copied: dict[int, Node] = {}
         for variant in range(self.variants):
             for node in needed(self.roots(variant)):
@@ -161,6 +192,7 @@ class Program:
                 (low.next, self.next),
                 (low.histories, self.histories),
                 (low.curves, self.curves),
+                (low.fed, self.fed),
             ):
                 mine[variant] = {
                     k: [copied[n.index] for n in nodes] for k, nodes in theirs[variant].items()
@@ -172,10 +204,14 @@ class Program:
         lines = [
             f"step program: {'backward' if self.backward else 'forward'}, {WIDTH} lanes a group"
         ]
-        wide = max(map(len, (*self.inputs, *self.states)), default=0)
+        wide = max(map(len, (*self.inputs, *self.states, *self.delays)), default=0)
         for name, (count, rate) in self.inputs.items():
             lines.append(f"input   {name:{wide}s} {count:3d} {_OFTEN[rate]}")
         lines += [f"state   {name:{wide}s} {len(nodes):3d}" for name, nodes in self.states.items()]
+        lines += [
+            f"delay   {name:{wide}s} {len(nodes):3d} by {steps} steps"
+            for name, (nodes, steps) in self.delays.items()
+        ]
         for variant in range(self.variants):
             order = needed(self.roots(variant))
             work = sum(n.op not in ("input", "const") for n in order)
@@ -192,6 +228,7 @@ class Program:
                 ("next", self.next[variant]),
                 ("history", self.histories[variant]),
                 ("curve", self.curves[variant]),
+                ("feed", self.fed[variant]),
             ):
                 for name, nodes in group.items():
                     lines.append(f"  {kind} {name}: {', '.join(f'v{n.index}' for n in nodes)}")
@@ -251,7 +288,7 @@ def interpret(program: Program, arrays: Mapping[str, Array], steps: int) -> None
             if node.op == "const":
                 worth[node.index] = node.value
             elif node.op == "input":
-                worth[node.index] = _value(program, arrays, state, node.value, k)
+                worth[node.index] = _value(program, arrays, state, node.value, k, step)
             else:
                 with np.errstate(all="ignore"):
                     worth[node.index] = NUMPY[node.op](*(worth[a.index] for a in node.args))
@@ -264,6 +301,10 @@ def interpret(program: Program, arrays: Mapping[str, Array], steps: int) -> None
                 full = np.broadcast_to(worth[node.index], (groups, WIDTH))
                 for g in range(groups):
                     arrays[name][g // BLOCK, k, i] += full[g]
+        for name, nodes in program.fed[variant].items():
+            slot = step % program.delays[name][1]
+            for i, node in enumerate(nodes):
+                arrays[name][:, slot, i] = worth[node.index]
         state = {
             name: [worth[node.index] for node in nodes]
             for name, nodes in program.next[variant].items()
@@ -274,11 +315,19 @@ def interpret(program: Program, arrays: Mapping[str, Array], steps: int) -> None
 
 
 def _value(
-    program: Program, arrays: Mapping[str, Array], state: Mapping[str, Any], key: str, k: int
+    program: Program,
+    arrays: Mapping[str, Array],
+    state: Mapping[str, Any],
+    key: str,
+    k: int,
+    step: int,
 ) -> Any:
     name, i = program.place[key]
     if name in state:
         return state[name][i]
+    if name in program.delays:
+        # a copy: the slot is written at the end of this step
+        return arrays[name][:, step % program.delays[name][1], i].copy()
     array, rate = arrays[name], program.inputs[name][1]
     if rate is Rate.CALL:
         return array[i]
