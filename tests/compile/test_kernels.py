@@ -453,3 +453,23 @@ def test_a_cache_that_cannot_be_made_is_no_error(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TRACKER_CACHE", str(tmp_path / "file" / "cache"))
     assert doubled()[3] == 6.0
+
+
+def test_campaigns_agree_run_by_run_and_the_same_runs_diverge(monkeypatch):
+    scene = tk.scenario("two_stations", detection_probability=0.9)
+    est = tk.estimator(motion=scene.motion, sensor=scene.sensor, smoother="rts")
+    arrays, kernel = [], []
+    for choice, out in (("off", arrays), ("require", kernel)):
+        monkeypatch.setenv("TRACKER_COMPILE", choice)
+        campaign = tk.monte_carlo(est, scene, runs=320, seed=7)
+        out += [campaign.scores["estimator"][stage] for stage in ("filter", "smoother")]
+    for a, b in zip(arrays, kernel, strict=True):
+        diverged = np.flatnonzero(a.diverged)
+        print("diverged runs:", diverged.tolist())
+        assert diverged.tolist() == np.flatnonzero(b.diverged).tolist()
+        assert 0 < len(diverged) < 20, "some do in this problem, and few"
+        kept = ~a.diverged
+        for name, values in a.per_run.items():
+            np.testing.assert_allclose(
+                b.per_run[name][kept], values[kept], rtol=1e-9, atol=1e-9, err_msg=name
+            )
