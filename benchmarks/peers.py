@@ -132,3 +132,63 @@ def stonesoup_ekf(
         return means
 
     return run
+
+
+def dynamax_ekf(
+    z: Any, x0: Any, P0: Any, *, stations: Any, dt: float, density: float, sigma: float
+) -> Run:
+    """dynamax: extended_kalman_filter, compiled; over many runs by vmap.
+
+    Shapes:
+        z ``(T, 2)`` and x0, P0 of one run, or ``(runs, T, 2)`` and ``(runs, ...)``. Returns the
+        means ``(T, 4)`` or ``(runs, T, 4)``, and keeps nothing else but the log-likelihood.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import jax.numpy as jnp
+    from dynamax.nonlinear_gaussian_ssm import ParamsNLGSSM, extended_kalman_filter
+
+    F, Q = jnp.array(transition(dt)), jnp.array(white_acceleration(dt, density))
+    R = sigma**2 * jnp.eye(2)
+
+    def h(x: Any) -> Any:
+        return jnp.array([jnp.arctan2(x[1] - sy, x[0] - sx) for sx, sy in stations])
+
+    def one(z: Any, x0: Any, P0: Any) -> Any:
+        parameters = ParamsNLGSSM(  # its prior is that of the first measurement
+            initial_mean=F @ x0,
+            initial_covariance=F @ P0 @ F.T + Q,
+            dynamics_function=lambda x: F @ x,
+            dynamics_covariance=Q,
+            emission_function=h,
+            emission_covariance=R,
+        )
+        kept = ["filtered_means", "marginal_loglik"]
+        done = extended_kalman_filter(parameters, z, output_fields=kept)
+        return done.filtered_means, done.marginal_loglik
+
+    compiled = jax.jit(one if np.ndim(z) == 2 else jax.vmap(one))
+    given = [jnp.array(a) for a in (z, x0, P0)]
+
+    def run() -> Any:
+        return jax.block_until_ready(compiled(*given))[0]
+
+    return run
+
+
+def filterpy_linear(z: Any, x0: Any, P0: Any, F: Any, Q: Any, H: Any, R: Any) -> Run:
+    """filterpy: KalmanFilter.predict and update on every row."""
+    from filterpy.kalman import KalmanFilter
+
+    def run() -> Any:
+        kf = KalmanFilter(dim_x=len(x0), dim_z=len(R))
+        kf.x, kf.P, kf.F, kf.Q, kf.H, kf.R = np.array(x0), np.array(P0), F, Q, H, R
+        means = np.empty((len(z), len(x0)))
+        for k in range(len(z)):
+            kf.predict()
+            kf.update(z[k])
+            means[k] = kf.x
+        return means
+
+    return run

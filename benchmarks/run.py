@@ -15,58 +15,40 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
+import environment
+
+if __name__ == "__main__" and "--here" not in sys.argv:
+    environment.enter()
+
+import common
 import handwritten
 import measure
 import numpy as np
 import peers
+import sweeps
+import targets
+from common import (
+    MICRO,
+    NANO,
+    PROBLEM,
+    RUNS,
+    SEED,
+    STATIONS,
+    STEPS,
+    agreed,
+    compiled,
+    one_run,
+    optional,
+    report,
+    two_stations,
+)
 
 import tracker as tk
 from tracker.algebra import at_once
 from tracker.estimation import steps as recursion
-
-RUNS = 1000
-STEPS = 500
-SEED = 7
-STATIONS = ((1.0, 1.0), (4.0, 1.1))
-PROBLEM = {"dt": 0.01, "density": 0.1, "sigma": float(np.deg2rad(2.0))}
-NANO, MICRO = 1e9, 1e6
-
-
-def agreed(what: str, ours: Any, theirs: Any, tolerance: float = 1e-9) -> None:
-    """Stop unless two results are the same: a time means nothing otherwise."""
-    difference = float(np.abs(np.asarray(ours) - np.asarray(theirs)).max())
-    if not difference <= tolerance:
-        sys.exit(
-            f"{what}: results differ by {difference:.1e}, more than {tolerance:.0e}: not timed"
-        )
-    print(f"  {what}: results agree to {difference:.0e}")
-
-
-def optional(what: str, make: Callable[[], Any]) -> Any:
-    """What ``make`` makes, or None after a line that says what is missing."""
-    try:
-        return make()
-    except ImportError as error:
-        print(f"  {what} is not installed ({error}): left out")
-        return None
-
-
-def compiled(choice: str) -> None:
-    os.environ["TRACKER_COMPILE"] = choice
-
-
-def two_stations(missing: float = 0.0) -> tuple[tk.Estimator, Any]:
-    scenario = tk.scenario("two_stations", steps=STEPS, detection_probability=1.0 - missing)
-    estimator = tk.estimator("ekf1", motion=scenario.motion, sensor=scenario.sensor)
-    return estimator, scenario.simulate(SEED, RUNS)
-
-
-def one_run(simulation: Any, run: int = 0) -> tuple[Any, Any, Any]:
-    prior = simulation.prior[run]
-    return simulation.record.z[..., run].copy(), prior.mean, prior.cov
 
 
 def means_of(estimator: tk.Estimator, simulation: Any) -> Any:
@@ -91,14 +73,6 @@ def reduced(estimator: tk.Estimator, simulation: Any) -> tuple[Any, ...]:
             loglik += innovation.loglik
             count += innovation.count
     return squared, nis, loglik, count
-
-
-def report(
-    seconds: Mapping[str, list[float]], per: Mapping[str, int], unit: float, name: str
-) -> None:
-    for label, times in seconds.items():
-        middle, least = np.median(times) / per[label] * unit, min(times) / per[label] * unit
-        print(f"  {label:58s} {middle:12.4g} {name} (least {least:.4g})")
 
 
 # ------------------------------------------------------------------------------ benchmarks
@@ -314,6 +288,8 @@ def imports() -> None:
 
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
+    "targets": targets.targets,
+    "sweeps": sweeps.sweeps,
     "monte_carlo": monte_carlo,
     "online": online,
     "by_hand": by_hand,
@@ -327,16 +303,21 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(prog="./x bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(BENCHMARKS))
+    parser.add_argument("--here", action="store_true", help="in this environment, not .venv-bench")
     names = parser.parse_args().names or list(BENCHMARKS)
     for name in names:
         if name not in BENCHMARKS:
             sys.exit(f"no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
     measure.on_one_core()
-    print(measure.processor())
-    print(measure.versions("numpy", "scipy", "llvmlite", "filterpy", "stonesoup"))
+    packages = ("numpy", "scipy", "llvmlite", "filterpy", "stonesoup", "dynamax", "jax")
+    machine = (measure.processor(), measure.versions(*packages))
+    print(*machine, sep="\n")
+    common.begin(*machine)
     for name in names:
         print(f"\n{name}: {BENCHMARKS[name].__doc__}", flush=True)
+        common.note(f"## {name}", "", str(BENCHMARKS[name].__doc__), "")
         BENCHMARKS[name]()
+    print(f"\ntables: {common.RESULTS}")
 
 
 if __name__ == "__main__":
