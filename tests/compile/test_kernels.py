@@ -1,6 +1,7 @@
 """Compiled steps: they agree with the arrays and with textbook code, bit for bit whatever the batch."""
 
 import math
+import sys
 
 import attrs
 import numpy as np
@@ -465,7 +466,7 @@ def test_campaigns_agree_run_by_run_and_the_same_runs_diverge(monkeypatch):
         out += [campaign.scores["estimator"][stage] for stage in ("filter", "smoother")]
     for a, b in zip(arrays, kernel, strict=True):
         diverged = np.flatnonzero(a.diverged)
-        print("diverged runs:", diverged.tolist())
+        sys.stdout.write(f"diverged runs: {diverged.tolist()}\n")
         assert diverged.tolist() == np.flatnonzero(b.diverged).tolist()
         assert 0 < len(diverged) < 20, "some do in this problem, and few"
         kept = ~a.diverged
