@@ -21,7 +21,7 @@ from tracker.estimation import Estimator
 from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
 from tracker.metrics.errors import error, squared_position_error
 from tracker.simulation import Scenario
-from tracker.types import Array, History
+from tracker.types import Array, History, brief
 
 BLOCK = 32
 """Runs per partial sum; chunks are whole multiples of it."""
@@ -34,6 +34,10 @@ PER_RUN = ("rmse", "final_error", "nees", "nis", "count", "loglik")
 
 
 # --------------------------------------------------------------------------------- the scores
+def _keys(values: Mapping[str, object]) -> str:
+    return f"<{', '.join(values)}>"
+
+
 @attrs.frozen(eq=False)
 class Scores:
     """What one estimator scored, filtered or smoothed.
@@ -44,8 +48,8 @@ class Scores:
     """
 
     n: int
-    per_run: Mapping[str, Array]
-    per_step: Mapping[str, Array]
+    per_run: Mapping[str, Array] = attrs.field(repr=_keys)
+    per_step: Mapping[str, Array] = attrs.field(repr=_keys)
 
     @property
     def diverged(self) -> Any:
@@ -112,9 +116,9 @@ class Campaign:
     scenario: str
     seed: int
     runs: int
-    t: Array
-    scores: Mapping[str, Mapping[str, Scores]]
-    sources: Mapping[str, str] = attrs.field(factory=dict)
+    t: Array = attrs.field(repr=brief)
+    scores: Mapping[str, Mapping[str, Scores]] = attrs.field(repr=_keys)
+    sources: Mapping[str, str] = attrs.field(factory=dict, repr=False)
 
     # -------------------------------------------------------------------------- in words
     def rows(self) -> list[dict[str, Any]]:

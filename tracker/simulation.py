@@ -17,7 +17,7 @@ from tracker.algebra import at_once
 from tracker.errors import DomainError, ShapeError, wording
 from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import Array, ArrayLike, Gaussian, Record, as_array, square_root
+from tracker.types import Array, ArrayLike, Gaussian, Record, as_array, brief, square_root
 
 STREAMS = {"initial": 0, "process": 1, "measurement": 2, "detection": 3, "prior": 4}
 """Components of randomness and their places in the key; never renumbered."""
@@ -47,6 +47,10 @@ def normals(
     return np.ascontiguousarray(np.moveaxis(out, 0, -1))
 
 
+def _few(runs: tuple[int, ...]) -> str:
+    return f"<{len(runs)} runs>" if len(runs) > 8 else repr(runs)
+
+
 @attrs.frozen(eq=False)
 class Simulation:
     """Runs of a scenario.
@@ -56,11 +60,11 @@ class Simulation:
         batch ``(runs,)``, at time ``start``.
     """
 
-    truth: Array
+    truth: Array = attrs.field(repr=brief)
     record: Record
     prior: Gaussian
     start: float
-    runs: tuple[int, ...]
+    runs: tuple[int, ...] = attrs.field(repr=_few)
 
 
 def _times_of(value: ArrayLike) -> Array:
@@ -91,10 +95,10 @@ class Scenario:
     motion: MotionModel
     sensor: SensorModel
     prior: Gaussian
-    t: Array = attrs.field(converter=_times_of)
+    t: Array = attrs.field(converter=_times_of, repr=brief)
     prior_time: float = 0.0
-    pose: Array | None = None
-    path: Array | None = None
+    pose: Array | None = attrs.field(default=None, repr=brief)
+    path: Array | None = attrs.field(default=None, repr=brief)
     truth_motion: MotionModel | None = None
     start: Array | None = None
     initial: str = attrs.field(default=INITIAL[0])
