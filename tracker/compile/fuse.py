@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import attrs
 import numpy as np
 
-from tracker.algebra import mahalanobis, residual
+from tracker.algebra import residual
 from tracker.compile.program import Program, Rate
 from tracker.errors import TraceError
 from tracker.models.functions import absolute, isnan, less, where
@@ -20,6 +20,7 @@ from tracker.models.graph import Node
 from tracker.types import EMPTY_SPACE, Gaussian, Space
 
 INFINITY = float("inf")
+_NORMAL = 2.0**-1022
 
 
 @attrs.frozen
@@ -328,7 +329,7 @@ def scores(
     squared: Any = 0.0
     for i in motion.space.position:
         squared = squared + errors[i] * errors[i]
-    nees = mahalanobis(errors, estimate.cov)
+    nees = _mahalanobis(errors, estimate.cov)
     program.total("totals", [squared, nees, *more], variant)
     if "final" not in program.states:
         program.state("final", 1)
@@ -340,6 +341,34 @@ def scores(
     finite = less(absolute(squared + nees), INFINITY)
     values = [where(finite, e * counted, 0.0) for e in (squared, nees, *more[:2])]
     program.curve("curves", [*values, where(finite, counted, 0.0)], variant)
+
+
+def _mahalanobis(v: Any, S: Any) -> Any:
+    """``v' S^-1 v`` without square roots, by ``S = L D L'``.
+
+    Square roots are what takes longest where nothing else waits for the result. As in
+    `tracker.algebra.mahalanobis`, a pivot that is not positive carries no information.
+    """
+    total: Any = 0.0
+    rows: list[list[Any]] = []  # of L D, below the diagonal
+    inverse: list[Any] = []
+    y: list[Any] = []
+    for a in range(len(v)):
+        row: list[Any] = []
+        pivot, left = S[a, a], v[a]
+        for b in range(a):
+            entry = S[a, b]
+            for c in range(b):
+                entry = entry - row[c] * (rows[b][c] * inverse[c])
+            row.append(entry)
+        for b in range(a):
+            below = row[b] * inverse[b]
+            pivot, left = pivot - below * row[b], left - below * y[b]
+        inverse.append(where(less(pivot, _NORMAL), 0.0, 1.0 / pivot))  # NaN stays
+        rows.append(row)
+        y.append(left)
+        total = total + left * left * inverse[a]
+    return total
 
 
 def _symbolic(owner: Any, entries: Any) -> None:

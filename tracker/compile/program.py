@@ -257,6 +257,17 @@ def tile(values: Array) -> Array:
     return np.moveaxis(values.reshape(*values.shape[:-1], groups, WIDTH), -2, 0)
 
 
+def tile_into(out: Array, values: Array) -> None:
+    """``out[:] = tile(values)``, in fewer and larger pieces where lanes fill whole groups."""
+    lanes = values.shape[-1]
+    if lanes % WIDTH or values.dtype != np.float64 or values.strides[-1] != values.itemsize:
+        out[:] = tile(values)
+        return
+    line = np.dtype(f"V{WIDTH * values.itemsize}")  # a group's lanes, moved as one element
+    source = values.reshape(*values.shape[:-1], lanes // WIDTH, WIDTH).view(line)[..., 0]
+    out.view(line)[..., 0] = np.moveaxis(source, -1, 0)
+
+
 def untile(values: Array, lanes: int) -> Array:
     """``(groups, ..., WIDTH)`` as ``(..., lanes)``."""
     moved = np.moveaxis(values, 0, -2)

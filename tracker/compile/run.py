@@ -18,7 +18,7 @@ import numpy as np
 from tracker.compile import objects
 from tracker.compile.fuse import Layout, backward, forward, pack, structure, triangle, why_not
 from tracker.compile.llvm import Kernel
-from tracker.compile.program import BLOCK, WIDTH, Program, Rate, allocate, tile, untile
+from tracker.compile.program import BLOCK, WIDTH, Program, Rate, allocate, tile, tile_into, untile
 from tracker.errors import CapabilityError, ConfigError, TraceError
 from tracker.threads import each, shares
 from tracker.types import Array, Gaussian, History, Innovation, Record, Trajectory
@@ -390,26 +390,69 @@ def scored(
     The last of ``partial`` is the number of finite runs. Keys: "filter" and, with a smoother,
     "smoother".
     """
-    smooth = estimator.smoother is not None
+    smooth, steps = estimator.smoother is not None, len(record)
     keep = ("scores", "predicted", "filtered") if smooth else ("scores",)
-    problem, made, arrays = _prepared(estimator, record, prior, start, keep)
-    arrays["truth"][:] = tile(truth)
-    made.bind(arrays, problem.groups, len(record))(0, problem.groups)
-    out = {"filter": _sums(problem, arrays)}
+    problem = _Problem.of(estimator, record, start)
+    made = kernel(problem.layout(keep), "forward")
+    passing = {"z", "truth", *made.program.histories[0]}
+    arrays = problem.arrays(made.program, passing)
+    _prior(problem, prior, arrays)
+    calls = [(made, arrays)]
     if smooth:
         again = kernel(problem.layout(("scores",)), "backward")
-        back = problem.arrays(again.program)
-        for name in ("filtered.x", "filtered.P", "predicted.x", "predicted.P", "truth", "counted"):
-            back[name] = arrays[name]
+        back = problem.arrays(again.program, passing | {"counted"})
+        back["counted"] = arrays["counted"]
         _begin_backwards(back, estimator.motion.space.size)
-        again.bind(back, problem.groups, len(record))(0, problem.groups)
-        out["smoother"] = _sums(problem, back)
+        calls.append((again, back))
+    # A tile of lanes at a time, in the same memory: what passes through stays in the cache.
+    shapes = made.program.shapes(1, steps)
+    line = 8 * sum(int(np.prod(shapes[name])) for name in passing)
+    size = max(BLOCK, _TILE_BYTES // line // BLOCK * BLOCK)
+    shapes = made.program.shapes(min(size, problem.groups), steps)
+    rooms = {name: allocate(shapes[name]) for name in passing}
+    given = {"z": _flat(record.z, 2, record.batch)[:, : shapes["z"][2]]}
+    given["truth"] = _flat(truth, 2, record.batch)
+    for first in range(0, problem.groups, size):
+        count = min(size, problem.groups - first)
+        for name, values in given.items():
+            lanes = values[..., first * WIDTH : (first + count) * WIDTH]
+            tile_into(rooms[name][:count], lanes)
+        for step, whole in calls:
+            part = _some_groups(step.program, whole, first, count)
+            part |= {name: room[:count] for name, room in rooms.items()}
+            step.bind(part, count, steps)(0, count)
+    stages = ("filter", "smoother")
+    return {stage: _sums(problem, of) for stage, (_, of) in zip(stages, calls, strict=False)}
+
+
+_TILE_BYTES = 1_000_000
+"""Of measurements, truth and moments that pass through the cache at a time."""
+
+
+def _some_groups(
+    program: Program, arrays: Mapping[str, Array], first: int, count: int
+) -> dict[str, Array]:
+    """Views of some groups, the first of which begins a block."""
+    out = {}
+    for name, array in arrays.items():
+        if name in program.curves[0]:
+            out[name] = array[first // BLOCK : -(-(first + count) // BLOCK)]
+        elif name in program.inputs and not program.inputs[name][1] & Rate.LANE:
+            out[name] = array
+        else:
+            out[name] = array[first : first + count]
     return out
 
 
 def _sums(problem: _Problem, arrays: Mapping[str, Array]) -> Sums:
+    curves = arrays["curves"]
+    lanes = curves[..., 0]
+    for i in range(
+        1, WIDTH
+    ):  # one at a time: a sum along eight neighbours takes five times as long
+        lanes = lanes + curves[..., i]
     return Sums(
         untile(arrays["totals"], problem.lanes),
         untile(arrays["final"], problem.lanes)[0],
-        np.moveaxis(arrays["curves"].sum(axis=-1), 0, -1).swapaxes(0, 1),
+        np.moveaxis(lanes, 0, -1).swapaxes(0, 1),
     )
