@@ -1,7 +1,7 @@
 """Step programs as LLVM text with explicit vectors of eight lanes, and as machine code through llvmlite.
 
 No auto-vectoriser and no optimiser passes: every operation on lanes is written as a vector
-operation, one instruction a node, in nested blocks (some groups, steps, each group, straight line).
+operation, one instruction a node, in three nested blocks (groups of lanes, steps, straight line).
 What is computed, and why, is decided elsewhere. ctypes releases the interpreter's lock during a
 call, so threads over groups use several cores.
 """
@@ -27,10 +27,6 @@ FLAGS = "contract nsz arcp"
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul"}
 _INTRINSIC = {"sqrt": "sqrt", "floor": "floor", "abs": "fabs"}
 _BOOLEAN = frozenset({"less", "isnan"})
-
-TOGETHER = 4
-"""Groups that take turns at each step: while one waits for a square root, the next can begin."""
-
 _V, _I, _M = f"<{WIDTH} x double>", f"<{WIDTH} x i64>", f"<{WIDTH} x i1>"
 
 
@@ -198,59 +194,55 @@ def emit(program: Program) -> str:
     w.label(
         "  br label %groups",
         "groups:",
-        "  %g.first = phi i64 [%first, %entry], [%g.end, %step.end]",
-        "  %more = icmp slt i64 %g.first, %last",
-        "  br i1 %more, label %some, label %exit",
-        "some:",
-        f"  %g.full = add i64 %g.first, {TOGETHER}",
-        "  %g.fits = icmp slt i64 %g.full, %last",
-        "  %g.end = select i1 %g.fits, i64 %g.full, i64 %last",
-        "  %t.last = sub i64 %T, 1",
-        "  br label %steps",
-        "steps:",
-        "  %k = phi i64 [0, %some], [%k.next, %step.end]",
+        "  %g = phi i64 [%first, %entry], [%g.next, %group.end]",
+        "  %more = icmp slt i64 %g, %last",
+        "  br i1 %more, label %group, label %exit",
+        "group:",
     )
-    # ---- once per step
-    w.emit("sub i64 %t.last, %k", "%t.back")
-    w.emit("add i64 %t.back, 0" if low.backward else "add i64 %k, 0", "%t")
-    per_step = {
-        name: w.emit(f"mul i64 %t, {count}")
-        for name, count in counts.items()
-        if low.inputs[name][1] == Rate.STEP
-    }
-    now = [n for n in computed if rates[n.index] & Rate.STEP]
-    common = [n for n in now if shared(n)]
-    w.section([n for n in common if rates[n.index] == Rate.STEP], per_step, splat)
-    w.label(
-        "  br label %group", "group:", "  %g = phi i64 [%g.first, %steps], [%g.next, %group.end]"
-    )
-    # ---- once per group of lanes: cheap enough to be done again at each step
+    # ---- once per group of lanes
     per_group = {
         name: w.emit(f"mul i64 %g, {count * WIDTH}")
         for name, count in counts.items()
         if low.inputs[name][1] == Rate.LANE
     }
     w.section([n for n in computed if rates[n.index] == Rate.LANE], per_group, splat)
-    state_base = {}
+    state_base, first = {}, {}
     for name, olds in low.states.items():
         state_base[name] = w.emit(f"mul i64 %g, {len(olds) * WIDTH}")
-        for i, old in enumerate(olds):
-            at = w.offset(state_base[name], i * WIDTH)
-            w.names[old.index] = w.load(name, at, True)
+        first[name] = [
+            w.load(name, w.offset(state_base[name], i * WIDTH), True) for i in range(len(olds))
+        ]
     w.emit("mul i64 %g, %T", "%gT")
-    w.emit("add i64 %gT, %t", "%gt")
     w.emit(f"udiv i64 %g, {BLOCK}", "%block")
     w.emit("mul i64 %block, %T", "%bT")
+    w.emit("sub i64 %T, 1", "%t.last")
+    w.label("  br label %steps", "steps:", "  %k = phi i64 [0, %group], [%k.next, %step.end]")
+    holes = []
+    for name, olds in low.states.items():
+        for i, old in enumerate(olds):
+            holes.append((len(w.lines), name, i))
+            w.label("")
+            w.names[old.index] = f"%s.{name}.{i}"
+    # ---- once per step
+    w.emit("sub i64 %t.last, %k", "%t.back")
+    w.emit("add i64 %t.back, 0" if low.backward else "add i64 %k, 0", "%t")
+    w.emit("add i64 %gT, %t", "%gt")
     w.emit("add i64 %bT, %t", "%bt")
-    per_step |= {
-        name: w.emit(f"mul i64 %gt, {count * WIDTH}")
-        for name, count in counts.items()
-        if low.inputs[name][1] == Rate.BOTH
-    }
+    per_step = {}
+    for name, count in counts.items():
+        rate = low.inputs[name][1]
+        if rate == Rate.BOTH:
+            per_step[name] = w.emit(f"mul i64 %gt, {count * WIDTH}")
+        elif rate == Rate.STEP:
+            per_step[name] = w.emit(f"mul i64 %t, {count}")
     for name, (olds, length) in low.delays.items():
         slot = w.emit(f"urem i64 %k, {length}")
         row = w.emit(f"add i64 {w.emit(f'mul i64 %g, {length}')}, {slot}")
         per_step[name] = w.emit(f"mul i64 {row}, {len(olds) * WIDTH}")
+    now = [n for n in computed if rates[n.index] & Rate.STEP]
+    common = [n for n in now if shared(n)]
+    scalars = [n for n in common if rates[n.index] == Rate.STEP]
+    w.section(scalars, per_step, splat)
     w.section([n for n in common if rates[n.index] == Rate.BOTH], per_step, splat)
 
     def outputs(variant: int) -> list[str]:
@@ -271,6 +263,7 @@ def emit(program: Program) -> str:
 
     if low.variants == 1:
         after = outputs(0)
+        w.label("  br label %step.end", "step.end:")
     else:
         index = w.load("variant", "%t", False)
         which = w.emit(f"fptosi double {index} to i64")
@@ -283,8 +276,8 @@ def emit(program: Program) -> str:
             w.section([n for n in own if rates[n.index] == Rate.STEP], per_step, splat)
             w.section([n for n in own if rates[n.index] == Rate.BOTH], per_step, splat)
             ends.append(outputs(v))
-            w.label("  br label %joined")
-        w.label("joined:")
+            w.label("  br label %step.end")
+        w.label("step.end:")
         after = [
             w.emit(
                 f"phi {_V} " + ", ".join(f"[{end[i]}, %variant.{v}]" for v, end in enumerate(ends))
@@ -292,23 +285,21 @@ def emit(program: Program) -> str:
             for i in range(len(ends[0]))
         ]
     flat = iter(after)
-    for name, olds in low.states.items():
-        for i in range(len(olds)):
-            w.store(next(flat), name, w.offset(state_base[name], i * WIDTH))
+    last = {name: [next(flat) for _ in olds] for name, olds in low.states.items()}
+    for line, name, i in holes:
+        w.lines[line] = (
+            f"  %s.{name}.{i} = phi {_V} [{first[name][i]}, %group], [{last[name][i]}, %step.end]"
+        )
     w.label(
-        "  br label %group.end",
-        "group.end:",
-        "  %g.next = add i64 %g, 1",
-        "  %g.done = icmp sge i64 %g.next, %g.end",
-        "  br i1 %g.done, label %step.end, label %group",
-        "step.end:",
         "  %k.next = add i64 %k, 1",
         "  %done = icmp sge i64 %k.next, %T",
-        "  br i1 %done, label %groups, label %steps",
-        "exit:",
-        "  ret void",
-        "}",
+        "  br i1 %done, label %group.end, label %steps",
+        "group.end:",
     )
+    for name in low.states:
+        for i, value in enumerate(last[name]):
+            w.store(value, name, w.offset(state_base[name], i * WIDTH))
+    w.label("  %g.next = add i64 %g, 1", "  br label %groups", "exit:", "  ret void", "}")
     declared = [
         f"declare {t} @llvm.{f}.{s}({t})"
         for f in _INTRINSIC.values()
