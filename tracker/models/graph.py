@@ -284,7 +284,8 @@ def evaluate(roots: Sequence[Entry], values: Mapping[str, Any]) -> list[Any]:
         elif node.op == "input":
             worth[node.index] = values[node.value]
         else:
-            with np.errstate(all="ignore"):  # a singular place is NaN or inf, as in every other form
+            # At a singular place the answer is NaN or inf, as in every other form.
+            with np.errstate(all="ignore"):
                 worth[node.index] = NUMPY[node.op](*(worth[a.index] for a in node.args))
     return [worth[r.index] if isinstance(r, Node) else r for r in roots]
 
