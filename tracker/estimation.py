@@ -19,10 +19,12 @@ from tracker.compile import mixed
 from tracker.compile import run as compiled
 from tracker.compile.online import Steps
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
-from tracker.protocols import Filter, MotionModel, SensorModel, Smoother
+from tracker.models.parameters import lanes_of_component
+from tracker.protocols import Filter, MotionModel, NoiseAdapter, SensorModel, Smoother
+from tracker.recursion import advance, begin, is_random, lanes_of, why_untunable
 from tracker.registry import Component
 from tracker.threads import each
-from tracker.types import ArrayLike, Gaussian, History, Innovation, Record, Trajectory
+from tracker.types import ArrayLike, Beliefs, Gaussian, History, Innovation, Record, Trajectory
 
 LANE_BYTES = 128_000
 """Temporaries above this size page-fault: lanes are worked in tiles of this many bytes of P."""
@@ -102,6 +104,7 @@ class Estimator:
     motion: MotionModel
     sensors: tuple[SensorModel, ...]
     smoother: Smoother | None = None
+    adapter: NoiseAdapter[Any] | None = None
     sources: tuple[Component, ...] = ()
     _compiled: Steps = attrs.field(init=False, repr=False, factory=Steps)
 
@@ -125,10 +128,38 @@ class Estimator:
         if self.smoother is not None:
             check_capabilities(
                 f"smoother {type(self.smoother).__name__}",
-                tuple(self.smoother.needs),
+                tuple(n for n in self.smoother.needs if n != "beliefs"),
                 "motion",
                 self.motion,
             )
+        why = why_untunable(self.adapter, self.sensors)
+        if why:
+            raise CapabilityError(why)
+
+    def begin(
+        self,
+        prior: Gaussian,
+        *,
+        pose: ArrayLike | None = None,
+        rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
+    ) -> Any:
+        """What `step` is first given, where a Gaussian is not all: for filters that draw random numbers.
+
+        Shapes:
+            prior of any batch shape; pose as in the first step; rng a generator, or one per lane.
+
+        Raises:
+            CapabilityError: if the filter draws random numbers and none was given.
+        """
+        return begin(
+            self.filter,
+            self.adapter,
+            self.motion,
+            self.sensors,
+            prior,
+            pose,
+            _each_lane(rng, prior),
+        )
 
     def step(
         self,
@@ -202,26 +233,35 @@ class Estimator:
                     do="give late measurements in time order",
                 )
             )
-        return self._step(state, values, dt, pose, u, t, model)
+        if isinstance(state, Gaussian) and (self.adapter or hasattr(self.filter, "begin")):
+            state = self.begin(state, pose=pose)
+        return self._step(state, values, dt, pose, u, t, sensor)
 
     @np.errstate(all="ignore")  # as a decorator it costs half of what a block costs
     def _step(
-        self, state: Any, z: Any, dt: Any, pose: Any, u: Any, t: Any, sensor: SensorModel
+        self, state: Any, z: Any, dt: Any, pose: Any, u: Any, t: Any, which: int
     ) -> tuple[Any, Innovation]:
         if z.ndim > 1:
             np.setbufsize(BUFFER)  # until the decorator leaves
+        if self.adapter is not None:
+            sensor = self.sensors[which]
+            carried, _, _, innovation = advance(
+                self.filter, self.adapter, state, self.motion, sensor, which, z, dt, u, t, pose
+            )
+            return carried, innovation
         predicted = self.filter.predict(state, self.motion, dt, u, t)
-        return self.filter.update(predicted, sensor, z, pose)
+        return self.filter.update(predicted, self.sensors[which], z, pose)
 
     def lanes(self, index: Any) -> Estimator:
         """The same estimator with per-lane parameters of its models cut to some lanes."""
-        motion = _cut(self.motion, index)
-        sensors = tuple(_cut(s, index) for s in self.sensors)
-        if motion is self.motion and all(
-            a is b for a, b in zip(sensors, self.sensors, strict=True)
-        ):
+        whole = (self.motion, self.filter, self.adapter, *self.sensors)
+        cut = [lanes_of_component(part, index) for part in whole]
+        if all(a is b for a, b in zip(cut, whole, strict=True)):
             return self
-        return attrs.evolve(self, motion=motion, sensors=sensors)
+        motion, rule, adapter, *sensors = cut
+        return attrs.evolve(
+            self, motion=motion, filter=rule, adapter=adapter, sensors=tuple(sensors)
+        )
 
     def cite(self) -> str:
         """The sources of its components, one line each, then the works that they name by number."""
@@ -243,6 +283,9 @@ class Estimator:
             name = getattr(model, "name", type(model).__name__)
             reason = getattr(model, "why_opaque", "it is not written over components")
             lines.append(f"{role} {name}: {'opaque, ' + reason if reason else 'traced'}")
+        if self.adapter is not None:
+            tuned = " and ".join(self.adapter.tunes)
+            lines.append(f"adapter {type(self.adapter).__name__}: re-tunes {tuned}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -253,6 +296,7 @@ class Estimator:
                 ("motion", getattr(self.motion, "name", type(self.motion).__name__)),
                 ("sensor", ", ".join(getattr(s, "name", type(s).__name__) for s in self.sensors)),
                 ("smoother", "none" if self.smoother is None else type(self.smoother).__name__),
+                ("adapter", "none" if self.adapter is None else type(self.adapter).__name__),
             )
         )
         return f"<table><caption>Estimator</caption>{rows}</table>"
@@ -286,16 +330,13 @@ def _play_their_parts(estimator: Estimator) -> None:
             )
 
 
-def _cut(model: Any, index: Any) -> Any:
-    return model.lanes(index) if hasattr(model, "lanes") else model
-
-
 def estimator(
     filter: str | Filter[Any] = "ekf1",  # noqa: A002 - the field's word
     *,
     motion: str | MotionModel,
     sensor: str | SensorModel | Sequence[SensorModel],
     smoother: str | Smoother | None = None,
+    adapter: str | NoiseAdapter[Any] | None = None,
 ) -> Estimator:
     """An estimator from components or their registered names.
 
@@ -334,6 +375,7 @@ def estimator(
         motion=model,
         sensors=tuple(s.over(model.space) if hasattr(s, "over") else s for s in sensors),
         smoother=None if smoother is None else made("smoother", smoother),
+        adapter=None if adapter is None else made("adapter", adapter),
         sources=tuple(sources),
     )
 
@@ -346,10 +388,12 @@ def filter(  # noqa: A001 - the field's word
     *,
     start: float | None = None,
     workers: int = 1,
+    rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
 ) -> History:
     """Filter a record: predict to each row's time, then update with it.
 
-    ``workers`` threads share the lanes; they change no bit.
+    ``workers`` threads share the lanes; they change no bit. ``rng`` is for filters that draw random
+    numbers: a generator, or one per lane.
 
     Shapes:
         record and prior of any batch shape; a prior without batch axes serves all lanes.
@@ -366,19 +410,40 @@ def filter(  # noqa: A001 - the field's word
         return compiled.filtered(estimator, record, prior, start, workers)
     if record.z.size and not mixed.reason(estimator):
         return mixed.filtered(estimator, record, prior, start)
-    if record.batch and int(np.prod(record.batch)) == 1:
+    random = is_random(estimator.filter)
+    if record.batch and int(np.prod(record.batch)) == 1 and not random:
         wide = filter(estimator, record_lanes(record, PAIR), prior[..., PAIR], start=start)
         return _history_lanes(wide, slice(0, 1))
     history = _allocated(estimator, record, prior)
+    generators = _each_lane(rng, prior)
+    kept: list[tuple[Any, Any]] | None = [] if _keeps_beliefs(estimator) else None
 
     def work(tile: slice) -> None:
         part, some, whole = _tile(estimator, record, prior, history, tile)
+        draws = generators[tile] if isinstance(generators, list) else generators
         with at_once():
-            for k, _, predicted, state, innovation in steps(part, some[0], some[1], start):
+            for k, _, predicted, state, innovation in steps(part, *some, start, draws):
                 _store(whole, k, predicted, state, innovation)
+                if kept is not None:
+                    kept.append((predicted, state))
 
-    each(work, tiles(record.batch, prior.n), workers)
-    return history
+    each(work, [slice(None)] if kept is not None else tiles(record.batch, prior.n), workers)
+    if kept is None:
+        return history
+    beliefs = Beliefs(tuple(p for p, _ in kept), tuple(s for _, s in kept))
+    return attrs.evolve(history, beliefs=beliefs)
+
+
+def _keeps_beliefs(estimator: Estimator) -> bool:
+    return estimator.smoother is not None and "beliefs" in estimator.smoother.needs
+
+
+def _each_lane(rng: Any, prior: Any) -> Any:
+    """One generator per lane; the same generator gives the same ones."""
+    if rng is None or not isinstance(rng, np.random.Generator):
+        return None if rng is None else list(rng)
+    batch = prior.moments().batch
+    return rng.spawn(int(np.prod(batch))) if batch else rng
 
 
 def smooth(
@@ -388,6 +453,7 @@ def smooth(
     *,
     start: float | None = None,
     workers: int = 1,
+    rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
 ) -> History:
     """Filter a record forwards, then smooth it backwards with the estimator's smoother.
 
@@ -399,7 +465,7 @@ def smooth(
             "smooth() needs an estimator with a smoother: got one without. "
             "Build it with smoother='rts'."
         )
-    history = filter(estimator, record, prior, start=start, workers=workers)
+    history = filter(estimator, record, prior, start=start, workers=workers, rng=rng)
     return smoothed(estimator, history, workers)
 
 
@@ -421,7 +487,7 @@ def smoothed(estimator: Estimator, history: History, workers: int = 1) -> Histor
     def work(tile: slice) -> None:
         with at_once():
             part = _history_lanes(history, tile)
-            done = smoother.smooth(part, _cut(estimator.motion, tile)).smoothed
+            done = smoother.smooth(part, lanes_of_component(estimator.motion, tile)).smoothed
         assert done is not None  # noqa: S101 - a smoother fills it in
         mean[..., tile], cov[..., tile] = done.mean, done.cov
 
@@ -430,13 +496,18 @@ def smoothed(estimator: Estimator, history: History, workers: int = 1) -> Histor
 
 
 def steps(
-    estimator: Estimator, record: Record, prior: Gaussian, start: float | None
+    estimator: Estimator,
+    record: Record,
+    prior: Gaussian,
+    start: float | None,
+    rng: Any = None,
 ) -> Iterator[tuple[int, int, Any, Any, Innovation]]:
     """The recursion itself: step, sensor, predicted state, filtered state, innovation.
 
     Run it inside `tracker.algebra.at_once`: a diverged lane is no reason for a warning.
     """
     rule, motion, sensors = estimator.filter, estimator.motion, estimator.sensors
+    adapter = estimator.adapter
     t, z, u, pose = record.t, record.z, record.u, record.pose
     sizes = [s.space.size for s in sensors]
     poses = [s.pose_space.size for s in sensors]
@@ -444,13 +515,25 @@ def steps(
     scalar = t.ndim == 1
     times = t.tolist() if scalar else t
     before: Any = (times[0] if start is None else start) if len(record) else 0.0
-    state = prior
+    first = None if pose is None or not len(record) else pose[0]
+    carried = begin(rule, adapter, motion, sensors, prior, first, rng)
     for k in range(len(record)):
         i = which[k]
         where = None if pose is None or not poses[i] else pose[k, : poses[i]]
         given = None if u is None else u[k]
-        predicted = rule.predict(state, motion, times[k] - before, given, before)
-        state, innovation = rule.update(predicted, sensors[i], z[k, : sizes[i]], where)
+        carried, predicted, state, innovation = advance(
+            rule,
+            adapter,
+            carried,
+            motion,
+            sensors[i],
+            i,
+            z[k, : sizes[i]],
+            times[k] - before,
+            given,
+            before,
+            where,
+        )
         before = times[k]
         yield k, i, predicted, state, innovation
 
@@ -668,6 +751,7 @@ def _history_lanes(history: History, index: Any) -> History:
         Innovation(**{k: v[..., index] for k, v in values.items()}),
         None if history.smoothed is None else of(history.smoothed),
         history.u if history.u is None or history.u.ndim == 2 else history.u[..., index],
+        lanes_of(history.beliefs, index),
     )
 
 

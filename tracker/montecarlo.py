@@ -20,7 +20,8 @@ from tracker.errors import CapabilityError, ConfigError, DomainError, UnknownCom
 from tracker.estimation import Estimator
 from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
 from tracker.metrics.errors import error, squared_position_error
-from tracker.simulation import Scenario
+from tracker.recursion import is_random
+from tracker.simulation import Scenario, stream
 from tracker.types import Array, History, brief
 
 BLOCK = 32
@@ -438,8 +439,13 @@ def _chunk(
             for stage, found in sums.items():
                 out[name, stage] = _from_sums(found, len(scenario.t))
             continue
+        draws = is_random(built.filter)
         history = estimation.filter(
-            built, simulation.record, simulation.prior, start=simulation.start
+            built,
+            simulation.record,
+            simulation.prior,
+            start=simulation.start,
+            rng=[stream(seed, run, "filter", condition) for run in runs] if draws else None,
         )
         out[name, "filter"] = _reduced(history, simulation.truth, scenario, smooth=False)
         if built.smoother is not None:

@@ -34,6 +34,7 @@ from tracker.types import (
     Projection,
     Scan,
     Space,
+    Step,
     Tracks,
 )
 
@@ -159,6 +160,22 @@ class Belief(Protocol):
 S = TypeVar("S", bound=Belief)
 
 
+@runtime_checkable
+class HasBegin(Protocol):
+    """A filter whose state is not a Gaussian: how its own kind of belief begins.
+
+    A belief is a frozen attrs class whose fields are arrays (components first, batch last), beliefs,
+    tuples of these, or plain settings. Metadata `tracker.types.SYMMETRIC` or `LOWER` on a field
+    tells what structure its matrices have. A filter that draws random numbers has ``random = True``,
+    takes ``rng`` (a generator, or a sequence with one per lane) by keyword here and nowhere else,
+    and keeps in its belief what makes later draws reproducible.
+    """
+
+    def begin(self, prior: Gaussian) -> Any:
+        """The belief that a Gaussian is; a belief of its own kind is returned as it is."""
+        ...
+
+
 class Filter(Protocol[S]):
     """Bayes' rule, approximated: predict through a motion, update with a measurement.
 
@@ -204,7 +221,7 @@ class Smoother(Protocol):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Capabilities that the motion must have."""
+        """Capabilities that the motion must have; "beliefs" if moments alone do not tell it enough."""
         ...
 
     def smooth(self, history: History, motion: MotionModel) -> History:
@@ -216,19 +233,33 @@ A = TypeVar("A")
 
 
 class NoiseAdapter(Protocol[A]):
-    """Re-tunes noise from innovations; returns new models, never changes the ones it was given.
+    """Re-tunes noise from innovations: a recursion of its own beside the filter's.
 
-    Laws: Q and R stay positive semi-definite; matched noise is a fixed point in expectation.
+    What it remembers is a value, as a belief is (`HasBegin`): a frozen attrs class of arrays with
+    components first and batch last; for the last so many steps of something, a
+    `tracker.adaptation.Window`. Every sensor of an estimator has its own memory.
+
+    Laws: Q and R stay positive semi-definite; matched noise is a fixed point in expectation; models
+    given are never changed.
     """
 
-    def init(self, motion: MotionModel, sensor: SensorModel) -> A:
-        """What the adapter remembers before the first step."""
+    @property
+    def tunes(self) -> tuple[str, ...]:
+        """What it re-tunes: 'Q', 'R' or both. Who tunes Q serves estimators of one sensor."""
         ...
 
-    def adapt(
-        self, memory: A, innovation: Innovation, motion: MotionModel, sensor: SensorModel
-    ) -> tuple[A, MotionModel, SensorModel]:
-        """Memory and models for the next step."""
+    def begin(self, motion: MotionModel, sensor: SensorModel, prior: Gaussian, pose: Any) -> A:
+        """What it remembers before the first step."""
+        ...
+
+    def tuned(
+        self, memory: A, motion: MotionModel, sensor: SensorModel
+    ) -> tuple[MotionModel, SensorModel]:
+        """The models for the next step: see `tracker.adaptation.with_noise`."""
+        ...
+
+    def adapt(self, memory: A, step: Step, motion: MotionModel, sensor: SensorModel) -> A:
+        """What it remembers after a step that used these, tuned, models; NaN residuals say nothing."""
         ...
 
 

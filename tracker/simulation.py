@@ -19,7 +19,14 @@ from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, ArrayLike, Gaussian, Record, as_array, brief, square_root
 
-STREAMS = {"initial": 0, "process": 1, "measurement": 2, "detection": 3, "prior": 4}
+STREAMS = {
+    "initial": 0,
+    "process": 1,
+    "measurement": 2,
+    "detection": 3,
+    "prior": 4,
+    "filter": 5,
+}
 """Components of randomness and their places in the key; never renumbered."""
 
 INITIAL = ("truth from prior", "prior around truth", "fixed")

@@ -12,7 +12,8 @@ ones uses ``Gaussian.trusted`` and pays nothing.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import attrs
@@ -271,6 +272,19 @@ def _checked_covariance(cov: Array, mean: Array) -> Array:
     return cov
 
 
+SYMMETRIC: Mapping[str, str] = MappingProxyType({"form": "symmetric"})
+"""Metadata of a belief's field that holds symmetric matrices: a compiled step carries one triangle."""
+
+LOWER: Mapping[str, str] = MappingProxyType({"form": "lower"})
+"""Metadata of a belief's field that holds lower triangular matrices."""
+
+PARAMETER: Mapping[str, str] = MappingProxyType({"form": "parameter"})
+"""Metadata of a filter's or adapter's number that may differ per lane, ``(*batch)``.
+
+It enters a compiled step as an input, so that another value needs no other step.
+"""
+
+
 @attrs.frozen(eq=False, init=False)
 class Gaussian:
     """A normal distribution, or a batch of them.
@@ -290,7 +304,7 @@ class Gaussian:
     """
 
     mean: Array = attrs.field(repr=brief)
-    cov: Array = attrs.field(repr=brief)
+    cov: Array = attrs.field(repr=brief, metadata=SYMMETRIC)
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
         mean = np.array(as_array(mean, "mean"))
@@ -636,6 +650,22 @@ class Innovation:
 
 
 @attrs.frozen(eq=False)
+class Step:
+    """One prediction and update, as a noise adapter sees it afterwards.
+
+    Shapes:
+        dt scalar or ``(*batch)``; pose ``(p, *batch)`` or None; predicted and filtered: moments
+        before and after the measurement; the innovation between them.
+    """
+
+    dt: Any
+    pose: Any
+    predicted: Gaussian
+    filtered: Gaussian
+    innovation: Innovation
+
+
+@attrs.frozen(eq=False)
 class Association:
     """How likely each track owns each detection.
 
@@ -693,12 +723,25 @@ class Trajectory:
 
 
 @attrs.frozen(eq=False)
+class Beliefs:
+    """What a filter believed at each step, where that is more than mean and covariance.
+
+    Shapes:
+        predicted, filtered: one belief per step, each over the whole batch.
+    """
+
+    predicted: tuple[Any, ...] = attrs.field(repr=False)
+    filtered: tuple[Any, ...] = attrs.field(repr=False)
+
+
+@attrs.frozen(eq=False)
 class History:
     """What a run leaves behind: everything a smoother needs, and nothing else.
 
     Shapes:
         t ``(T,)`` or ``(T, *batch)``; predicted, filtered, smoothed: trajectories; innovation with
-        a leading time axis; u ``(T, q, *batch)`` the inputs that were used, or None.
+        a leading time axis; u ``(T, q, *batch)`` the inputs that were used, or None; beliefs, where
+        the estimator's smoother needs them ("beliefs").
     """
 
     t: Array = attrs.field(repr=brief)
@@ -707,6 +750,7 @@ class History:
     innovation: Innovation
     smoothed: Trajectory | None = None
     u: Array | None = attrs.field(default=None, repr=brief)
+    beliefs: Beliefs | None = attrs.field(default=None, repr=False)
 
     @property
     def estimate(self) -> Trajectory:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import copyreg
+import functools
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+import attrs
 import numpy as np
 
 from tracker.errors import DomainError, ShapeError, wording
@@ -119,6 +122,42 @@ def lanes_of(parameters: Mapping[str, Any], index: Any) -> Mapping[str, Any]:
         k: v[..., index] if isinstance(v, np.ndarray) and v.shape[-1] > 1 else v
         for k, v in parameters.items()
     }
+
+
+def lanes_of_component(component: Any, index: Any) -> Any:
+    """A component with its per-lane numbers cut to some lanes; itself if it has none."""
+    if hasattr(component, "lanes"):
+        return component.lanes(index)
+    values = numbers_of(component)
+    cut = lanes_of(values, index)
+    return component if cut is values else with_numbers(component, cut)
+
+
+def numbers_of(component: Any) -> Mapping[str, Any]:
+    """The numbers of a component that may differ per lane: those it offers, or fields marked so."""
+    offered = getattr(component, "parameters", None)
+    if offered is not None:
+        return offered  # type: ignore[no-any-return]
+    return {name: getattr(component, name) for name in _marked(type(component))}
+
+
+def with_numbers(component: Any, values: Mapping[str, Any]) -> Any:
+    """The component with other numbers, unchecked: they may be lanes or graph nodes."""
+    if not values:
+        return component
+    if hasattr(component, "with_parameters"):
+        return component.with_parameters(**values)
+    made = copy.copy(component)
+    for name, value in values.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+@functools.cache
+def _marked(kind: type) -> tuple[str, ...]:
+    if not attrs.has(kind):
+        return ()
+    return tuple(f.name for f in attrs.fields(kind) if f.metadata.get("form") == "parameter")
 
 
 def filled(value: Any, lead: int, batch: tuple[int, ...]) -> Any:

@@ -1,0 +1,95 @@
+"""What noise adapters are written with: windows of the past, and models with other noise.
+
+Adapters themselves are plugins; running one beside a filter is `tracker.recursion`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.errors import DomainError, wording
+from tracker.protocols import MotionModel, SensorModel
+from tracker.types import Array, brief
+
+__all__ = ["Window", "with_noise", "with_process_noise"]
+
+
+@attrs.frozen(eq=False)
+class Window:
+    """The last so many values of something: what falls out when a new one is put in.
+
+    A sum over a window is kept by adding what goes in and taking away `oldest`. In a compiled step
+    the window is a delay line in memory, not a state in registers, so that long ones cost no more.
+
+    Shapes:
+        values ``(length, k, *batch)``, a ring; ``place`` is the slot of the oldest.
+
+    Example:
+    >>> window = Window.of(2, np.zeros(1)).pushed(np.array([1.0])).pushed(np.array([2.0]))
+    >>> window.oldest.tolist()
+    [1.0]
+    """
+
+    values: Array = attrs.field(repr=brief)
+    place: int = 0
+
+    @classmethod
+    def of(cls, length: int, like: Array) -> Window:
+        """A window of zeros for values ``(k, *batch)``.
+
+        Raises:
+            DomainError: if the length is not at least one.
+        """
+        if length < 1:
+            raise DomainError(
+                wording(
+                    "argument 'length'", got=length, expected="at least 1", do="pass a larger one"
+                )
+            )
+        return cls(np.zeros((length, *np.shape(like))))
+
+    @property
+    def oldest(self) -> Array:
+        """What falls out next, ``(k, *batch)``; zero until as many were put in as it is long."""
+        return self.values[self.place]  # type: ignore[no-any-return]
+
+    def pushed(self, new: Array) -> Window:
+        """The window with ``new`` in the place of the oldest."""
+        values = self.values.copy()
+        values[self.place] = new
+        return Window(values, (self.place + 1) % len(values))
+
+
+@attrs.frozen(eq=False)
+class _OtherNoise:
+    """A model of which one covariance was replaced; everything else is the model's own."""
+
+    _model: Any
+    _name: str
+    _noise: Any
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # copying and pickling ask for these before there is a model
+            raise AttributeError(name)
+        return getattr(self._model, name)
+
+    def Q(self, x: Array, dt: Any) -> Array:
+        """Covariance of the process noise."""
+        return self._noise if self._name == "Q" else self._model.Q(x, dt)  # type: ignore[no-any-return]
+
+    def R(self, x: Array, pose: Any = None) -> Array:
+        """Covariance of the measurement noise."""
+        return self._noise if self._name == "R" else self._model.R(x, pose)  # type: ignore[no-any-return]
+
+
+def with_noise(sensor: SensorModel, R: Any) -> SensorModel:
+    """The sensor with another covariance of the measurement noise, ``(m, m, *batch)``."""
+    return _OtherNoise(sensor, "R", R)  # type: ignore[return-value]
+
+
+def with_process_noise(motion: MotionModel, Q: Any) -> MotionModel:
+    """The motion with another covariance of the process noise, ``(n, n, *batch)``, whatever dt."""
+    return _OtherNoise(motion, "Q", Q)  # type: ignore[return-value]

@@ -1,0 +1,134 @@
+"""One step of an estimator - predict, update, adapt - and what is carried from step to step.
+
+Loops over records, checks of what users pass, and compiled steps live elsewhere: all of them run this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.errors import CapabilityError
+from tracker.types import Gaussian, Innovation, Step
+
+__all__ = ["Adapted", "advance", "begin", "is_random", "lanes_of", "why_untunable"]
+
+
+@attrs.frozen(eq=False)
+class Adapted:
+    """A belief beside a noise adapter's memories, one for each sensor."""
+
+    belief: Any
+    memories: tuple[Any, ...]
+
+    def moments(self) -> Gaussian:
+        """Mean and covariance of the belief."""
+        return self.belief.moments()  # type: ignore[no-any-return]
+
+
+def is_random(filter_: Any) -> bool:
+    """Whether a filter draws random numbers."""
+    return bool(getattr(filter_, "random", False))
+
+
+def why_untunable(adapter: Any, sensors: Sequence[Any]) -> str:
+    """Why an adapter cannot serve these sensors, or ''."""
+    if adapter is None or len(sensors) == 1 or "Q" not in adapter.tunes:
+        return ""
+    return (
+        f"adapter {type(adapter).__name__} re-tunes the process noise, and must see every measurement "
+        f"for that: got {len(sensors)} sensors; expected one. Do this: join them to one stack of "
+        "sensors (tracker_sensors.stack), or use an adapter of measurement noise alone."
+    )
+
+
+def begin(
+    filter_: Any,
+    adapter: Any,
+    motion: Any,
+    sensors: Sequence[Any],
+    prior: Any,
+    pose: Any = None,
+    rng: Any = None,
+) -> Any:
+    """What is carried into the first step: the belief, and what the adapter remembers.
+
+    Shapes:
+        prior of any batch shape; pose ``(p, *batch)`` of the first row, or None; rng a generator,
+        or a sequence with one per lane.
+
+    Raises:
+        CapabilityError: if the filter draws random numbers and has no generator.
+    """
+    if isinstance(prior, Adapted):
+        return prior
+    belief = prior
+    if hasattr(filter_, "begin"):
+        if not is_random(filter_):
+            belief = filter_.begin(prior)
+        elif rng is not None or type(prior) is not Gaussian:
+            belief = filter_.begin(prior, rng=rng)
+        else:
+            raise CapabilityError(
+                f"filter {type(filter_).__name__} draws random numbers: got no generator. "
+                "Do this: pass rng=np.random.default_rng(seed)."
+            )
+    if adapter is None:
+        return belief
+    moments = belief.moments()
+    memories = []
+    for sensor in sensors:
+        size = sensor.pose_space.size
+        where = None if pose is None or not size else pose[:size]
+        memories.append(adapter.begin(motion, sensor, moments, where))
+    return Adapted(belief, tuple(memories))
+
+
+def advance(
+    filter_: Any,
+    adapter: Any,
+    carried: Any,
+    motion: Any,
+    sensor: Any,
+    which: int,
+    z: Any,
+    dt: Any,
+    u: Any = None,
+    t: Any = None,
+    pose: Any = None,
+) -> tuple[Any, Any, Any, Innovation]:
+    """Predict ``dt`` seconds ahead, update with z, let the adapter learn from it.
+
+    Returns:
+        what is carried into the next step, predicted belief, filtered belief, innovation.
+    """
+    if adapter is None:
+        predicted = filter_.predict(carried, motion, dt, u, t)
+        belief, innovation = filter_.update(predicted, sensor, z, pose)
+        return belief, predicted, belief, innovation
+    memory = carried.memories[which]
+    motion, sensor = adapter.tuned(memory, motion, sensor)
+    predicted = filter_.predict(carried.belief, motion, dt, u, t)
+    belief, innovation = filter_.update(predicted, sensor, z, pose)
+    done = Step(dt, pose, predicted.moments(), belief.moments(), innovation)
+    learnt = adapter.adapt(memory, done, motion, sensor)
+    before, after = carried.memories[:which], carried.memories[which + 1 :]
+    return Adapted(belief, (*before, learnt, *after)), predicted, belief, innovation
+
+
+def lanes_of(value: Any, index: Any) -> Any:
+    """Some lanes of a belief, picked on its last batch axis; a slice gives views."""
+    if isinstance(value, np.ndarray):
+        shared = value.shape[-1] == 1 and isinstance(index, slice)
+        return value if shared else value[..., index]
+    if isinstance(value, tuple):
+        return tuple(lanes_of(v, index) for v in value)
+    if not attrs.has(type(value)):
+        return value
+    made = object.__new__(type(value))
+    for field in attrs.fields(type(value)):
+        object.__setattr__(made, field.name, lanes_of(getattr(value, field.name), index))
+    return made
