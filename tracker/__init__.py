@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from tracker.registry import motions as motions
     from tracker.registry import optimisers as optimisers
     from tracker.registry import planners as planners
+    from tracker.registry import reproductions as reproductions
     from tracker.registry import scenarios as scenarios
     from tracker.registry import sensors as sensors
     from tracker.registry import smoothers as smoothers
@@ -89,6 +90,7 @@ _HOME = {
     "optimisers": "registry",
     "planners": "registry",
     "read_detection_log": "io.detections",
+    "reproductions": "registry",
     "scenario": "simulation",
     "scenarios": "registry",
     "sensors": "registry",
@@ -97,7 +99,7 @@ _HOME = {
 }
 _MODULES = frozenset({
     "algebra", "errors", "estimation", "geodesy", "io", "metrics", "models", "montecarlo", "pipeline",
-    "protocols", "registry", "report", "simulation", "testing", "types",
+    "protocols", "registry", "report", "reproduction", "simulation", "testing", "types",
 })  # fmt: skip
 
 __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names

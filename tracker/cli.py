@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 # Commands in other modules: name -> ("package.module:command", the line shown by --help).
 LAZY: dict[str, tuple[str, str]] = {
+    "reproduce": (
+        "tracker.commands.reproduce:reproduce",
+        "Remake the tables and figures of a paper, with a verdict for each number.",
+    ),
     "run": ("tracker.commands.run:run", "Track what a config file describes, and report on it."),
 }
 

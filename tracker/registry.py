@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         SensorModel,
         Smoother,
     )
+    from tracker.reproduction import Study
 
 __all__ = [
     "KINDS",
@@ -69,6 +70,7 @@ __all__ = [
     "motions",
     "optimisers",
     "planners",
+    "reproductions",
     "scenarios",
     "sensors",
     "smoothers",
@@ -92,6 +94,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "planner": "chooses where the observer goes",
         "scenario": "targets, sensors and observers of a reproducible situation",
         "metric": "judges estimates against the truth",
+        "reproduction": "remakes the tables and figures of a paper and judges each of its numbers",
     }
 )
 KINDS: tuple[str, ...] = tuple(MEANINGS)
@@ -746,3 +749,4 @@ deleters: Catalogue[Deleter] = Catalogue("deleter")
 planners: Catalogue[Planner] = Catalogue("planner")
 scenarios: Catalogue[Scenario] = Catalogue("scenario")
 metrics: Catalogue[Any] = Catalogue("metric")
+reproductions: Catalogue[Study] = Catalogue("reproduction")

@@ -6,14 +6,11 @@ What a config file means is in `tracker.io.config`, what a report looks like in 
 from __future__ import annotations
 
 import json
-import math
-import platform
-from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
+from tracker.commands.output import finite, folder_of, versions, write
 from tracker.commands.tables import print_table
 from tracker.errors import ConfigError, wording
 from tracker.io.config import Experiment, read_experiment
@@ -42,7 +39,7 @@ def run(config: str, out: str, *, quiet: bool) -> None:
     """
     experiment = read_experiment(config)
     log = experiment.read_log()
-    folder = _folder(out)
+    folder = folder_of(out)
     outcomes = compare(experiment, log, quiet=quiet)
     if not quiet:
         _print(outcomes)
@@ -57,12 +54,12 @@ def run(config: str, out: str, *, quiet: bool) -> None:
         notes=(
             f"Config: {config}. Log: {experiment.log}.",
             f"Tracks start from the truth's first {experiment.start.seconds:g} s; they do not end.",
-            ", ".join(f"{name} {version}" for name, version in _versions().items()) + ".",
+            ", ".join(f"{name} {version}" for name, version in versions().items()) + ".",
         ),
     )
     report = folder / "report.html"
-    _write(report, page)
-    _write(folder / "results.json", json.dumps(_results(config, experiment, outcomes), indent=2))
+    write(report, page)
+    write(folder / "results.json", json.dumps(_results(config, experiment, outcomes), indent=2))
     click.echo(str(report))
 
 
@@ -99,43 +96,23 @@ def compare(experiment: Experiment, log: DetectionLog, *, quiet: bool = True) ->
 
 
 # ------------------------------------------------------------------------------------- output
-def _folder(out: str) -> Path:
-    try:
-        folder = Path(out)
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            wording(f"--out {out!r}", got=str(error), expected="a folder", do="name another")
-        ) from None
-    return folder
-
-
-def _write(file: Path, content: str) -> None:
-    try:
-        file.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(
-            wording(str(file), got=str(error), expected="a file to write", do="see to the folder")
-        ) from None
-
-
 def _results(config: str, experiment: Experiment, outcomes: list[Outcome]) -> dict[str, Any]:
     return {
         "schema": 1,
         "title": experiment.title,
         "config": config,
-        "versions": _versions(),
+        "versions": versions(),
         "rows": [
             {
                 "sensors": outcome.name,
                 "target": score.id,
-                "rmse": _finite(score.rmse),
-                "nis": _finite(score.nis),
-                "nis_band": [_finite(score.nis_band.low), _finite(score.nis_band.high)],
-                "nees": _finite(score.nees),
-                "nees_band": [_finite(score.nees_band.low), _finite(score.nees_band.high)],
-                "used": _finite(score.used),
-                "seconds_per_update": _finite(score.seconds),
+                "rmse": finite(score.rmse),
+                "nis": finite(score.nis),
+                "nis_band": [finite(score.nis_band.low), finite(score.nis_band.high)],
+                "nees": finite(score.nees),
+                "nees_band": [finite(score.nees_band.low), finite(score.nees_band.high)],
+                "used": finite(score.used),
+                "seconds_per_update": finite(score.seconds),
                 "verdict": score.verdict,
                 "words": score.words,
             }
@@ -143,20 +120,6 @@ def _results(config: str, experiment: Experiment, outcomes: list[Outcome]) -> di
             for score in outcome.scores
         ],
         "findings": findings(outcomes),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _versions() -> dict[str, str]:
-    import tracker
-
-    return {
-        "tracker": tracker.__version__,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
     }
 
 

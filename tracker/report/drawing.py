@@ -73,10 +73,7 @@ def svg(draw: Callable[[], Figure]) -> bytes:
     Raises:
         PluginError: if matplotlib is not installed.
     """
-    with drawing():
-        stream = io.BytesIO()
-        draw().savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue()
+    return svg_and_png(draw, ("svg",))[0]
 
 
 def png(draw: Callable[[], Figure]) -> bytes:
@@ -85,10 +82,26 @@ def png(draw: Callable[[], Figure]) -> bytes:
     Raises:
         PluginError: if matplotlib is not installed.
     """
+    return svg_and_png(draw, ("png",))[0]
+
+
+def svg_and_png(
+    draw: Callable[[], Figure], forms: tuple[str, ...] = ("svg", "png")
+) -> tuple[bytes, ...]:
+    """The picture that ``draw`` makes in several forms, drawn once.
+
+    Raises:
+        PluginError: if matplotlib is not installed.
+    """
+    without: Any = {"svg": {"Date": None}, "png": {"Software": None}}
+    out = []
     with drawing():
-        stream = io.BytesIO()
-        draw().savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()
+        picture = draw()
+        for form in forms:
+            stream = io.BytesIO()
+            picture.savefig(stream, format=form, metadata=without[form])
+            out.append(stream.getvalue())
+    return tuple(out)
 
 
 def ellipse(mean: Array, cov: Array, *, squared_radius: float = 5.991, points: int = 61) -> Array:

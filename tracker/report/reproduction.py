@@ -1,0 +1,103 @@
+"""The page of a reproduction: verdicts, claims, errata, tables and figures; nothing is judged here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tracker.report import page as html
+from tracker.report.drawing import svg_and_png
+from tracker.reproduction import Reproduction, Row
+
+HEAD = ("number", "published", "ours", "95 % interval", "runs", "verdict", "why")
+
+
+def rows(reproduction: Reproduction) -> list[tuple[str, ...]]:
+    """The rows with verdicts, as words; `HEAD` names the columns."""
+    return [
+        (
+            one.id,
+            f"{one.published:.4g}",
+            f"{one.ours:.4g}",
+            _interval(one),
+            str(one.runs),
+            one.verdict,
+            one.why,
+        )
+        for one in reproduction.rows
+    ]
+
+
+def _interval(one: Row) -> str:
+    return f"{one.ci95[0]:.4g} to {one.ci95[1]:.4g}"
+
+
+def write_up(
+    reproduction: Reproduction, versions: Mapping[str, str]
+) -> tuple[str, dict[str, bytes]]:
+    """A page that needs no network, and every picture as PNG under its id.
+
+    Raises:
+        PluginError: if matplotlib is not installed.
+    """
+    figures, files = [], {}
+    for picture in reproduction.pictures:
+        svg, files[picture.id] = svg_and_png(picture.draw)
+        title = f"Figure {picture.number}. {picture.title}" if picture.number else picture.title
+        figures.append(html.figure(svg, f"{title}. {picture.caption}", picture.alternative))
+    verdicts = _counted([one.verdict for one in reproduction.rows])
+    judgements = _counted([one.verdict for one in reproduction.claims])
+    sections = [
+        (
+            "",
+            [
+                html.text(
+                    f"{reproduction.runs} runs, seed {reproduction.seed}. Published numbers: "
+                    f"{verdicts}. Claims: {judgements}. Errata shown: {len(reproduction.errata)}."
+                ),
+                html.text(
+                    "A number is reproduced if it lies inside the 95 % interval of ours, or inside "
+                    "the range that one documented reading of the paper gives. A claim is confirmed "
+                    "if its rule holds under every condition it was tried under, refuted if it "
+                    "holds under none."
+                ),
+                *[html.text(note) for note in reproduction.notes],
+            ],
+        ),
+        ("Published numbers", [html.table(HEAD, rows(reproduction))]),
+        (
+            "Claims",
+            [
+                html.table(
+                    ("", "claim", "verdict", "rule", "evidence"),
+                    [
+                        (one.id, one.text, one.verdict, one.rule, one.evidence)
+                        for one in reproduction.claims
+                    ],
+                )
+            ],
+        ),
+        *[
+            (table.title, [html.table(table.head, table.rows, table.caption)])
+            for table in reproduction.tables
+        ],
+        ("Figures", figures),
+        (
+            "Errata",
+            [
+                html.table(
+                    ("place", "printed", "corrected", "shown by"),
+                    [
+                        (one.id, one.printed, one.corrected, one.shown_by)
+                        for one in reproduction.errata
+                    ],
+                )
+            ],
+        ),
+        ("Made with", [html.text(", ".join(f"{k} {v}" for k, v in versions.items()) + ".")]),
+    ]
+    title = f"Paper {reproduction.paper} reproduced: {reproduction.title}"
+    return html.page(title, [(head, pieces) for head, pieces in sections if pieces]), files
+
+
+def _counted(words: list[str]) -> str:
+    return ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words)) or "none"
