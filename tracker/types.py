@@ -411,6 +411,31 @@ class Columns:
         return full
 
 
+@attrs.frozen(eq=False)
+class Block:
+    """Hessians of which only some rows and columns can be other than zero.
+
+    Shapes:
+        entries ``(m, k, k, *batch)``: a symmetric matrix for each output; columns, the k places in
+        the state; a whole matrix is ``(width, width)``. Trailing axes of length 1 are shared by
+        all lanes.
+    """
+
+    entries: Array = attrs.field(repr=brief)
+    columns: tuple[int, ...]
+    width: int
+
+    def dense(self) -> Array:
+        """The whole matrices, ``(m, n, n, *batch)``."""
+        if self.columns == tuple(range(self.width)):
+            return self.entries
+        m, _, _, *batch = self.entries.shape
+        full = np.zeros((m, self.width, self.width, *batch), dtype=self.entries.dtype)
+        places = np.array(self.columns, dtype=np.intp)
+        full[:, places[:, None], places] = self.entries
+        return full
+
+
 # ------------------------------------------------------------------------------- measurements
 def _forwards(times: Array) -> None:
     """Refuse times that are not finite or run backwards."""

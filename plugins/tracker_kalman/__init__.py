@@ -8,6 +8,7 @@ _HOME = {
     "JosephFilter": "joseph",
     "KalmanFilter": "kf",
     "RauchTungStriebel": "rts",
+    "SecondOrderExtendedKalmanFilter": "ekf2",
 }
 __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names
 

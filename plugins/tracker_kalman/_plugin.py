@@ -32,6 +32,17 @@ def tracker_components(registry: Registry) -> None:
     registry.add(
         Component(
             kind="filter",
+            name="ekf2",
+            target="tracker_kalman.ekf2:SecondOrderExtendedKalmanFilter",
+            summary="Second-order extended Kalman filter, complete innovation covariance.",
+            paper="0",
+            equations=("9", "10", "11", "33"),
+            tags=("gaussian", "nonlinear", "second-order", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
             name="ekf1_joseph",
             target="tracker_kalman.joseph:JosephFilter",
             summary="First-order extended Kalman filter, Joseph form of the covariance.",

@@ -26,13 +26,14 @@ import numpy as np
 from tracker.algebra import components, lanes
 from tracker.algebra.lanes import at_once
 from tracker.models.functions import wrap
-from tracker.types import Columns
+from tracker.types import Block, Columns
 
 __all__ = [
     "apply",
     "at_once",
     "condition",
     "congruence",
+    "curvature",
     "dense",
     "factor",
     "finite",
@@ -132,6 +133,29 @@ def residual(z: Any, zhat: Any, circular: bool | tuple[bool, ...]) -> Any:
         if flag:
             lanes.wrap_in_place(difference[i])
     return difference
+
+
+def curvature(A: Any, P: Any) -> tuple[Any, Any]:
+    """What second derivatives A add to a mean and a covariance: ``tr(A_i P) / 2`` and
+    ``tr(A_i P A_j P) / 2``, the moments of ``e' A_i e / 2`` for e of covariance P.
+
+    Shapes:
+        A ``(m, n, n, *batch)`` or `Block`, symmetric; P ``(n, n, *batch)``; result ``(m, *batch)``
+        and ``(m, m, *batch)``.
+    """
+    if isinstance(A, Block):
+        P, A = _part(P, A.columns), A.entries
+    return _of(P).curvature(A, P)  # type: ignore[no-any-return]
+
+
+def _part(P: Any, places: tuple[int, ...]) -> Any:
+    """Some rows and columns of P; a view where they lie side by side."""
+    if not places:
+        return P[:0, :0]
+    first, last = places[0], places[-1] + 1
+    if places == tuple(range(first, last)):
+        return P[first:last, first:last]
+    return P[np.ix_(places, places)]
 
 
 def factor(P: Any) -> Any:

@@ -25,6 +25,13 @@ def _dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
     return plain(out)
 
 
+def _total(entries: Iterable[Any]) -> Any:
+    out: Any = 0.0
+    for e in entries:
+        out = out + e
+    return plain(out)
+
+
 def _matrix(rows: int, columns: int, entry: Callable[[int, int], Any]) -> Any:
     out = np.empty((rows, columns), dtype=object)
     for i in range(rows):
@@ -72,6 +79,13 @@ def residual(difference: Any, circular: bool | tuple[bool, ...]) -> Any:
                 else [plain(wrap(e)) for e in difference[i]]
             )
     return out
+
+
+def curvature(A: Any, P: Any) -> tuple[Any, Any]:
+    AP = [product(matrix, P) for matrix in A]
+    transposed = [half.T.ravel() for half in AP]
+    bias = _vector(0.5 * _total(half.diagonal()) for half in AP)
+    return bias, _symmetric(len(A), lambda a, c: 0.5 * _dot(AP[a].ravel(), transposed[c]))
 
 
 def spread(L: Any, points: Any) -> Any:

@@ -95,6 +95,13 @@ def symmetric_product(A: Any, H: Any) -> Any:
     return out
 
 
+def curvature(A: Any, P: Any) -> tuple[Any, Any]:
+    AP = np.einsum("aij...,jk...->aik...", A, P)
+    covariance = 0.5 * np.einsum("aij...,cji...->ac...", AP, AP)
+    mirror(covariance)
+    return 0.5 * np.einsum("aii...->a...", AP), covariance
+
+
 def spread(L: Any, points: Any) -> Any:
     return np.einsum("ij...,js->is...", L, points)
 

@@ -52,6 +52,14 @@ def symmetric_product(A: Any, H: Any) -> Any:
     return out
 
 
+def curvature(A: Any, P: Any) -> tuple[Any, Any]:
+    m = len(A)
+    AP = A @ P
+    covariance = 0.5 * AP.reshape(m, -1).dot(AP.swapaxes(1, 2).reshape(m, -1).T)
+    _mirror(covariance)
+    return 0.5 * AP.trace(axis1=1, axis2=2), covariance
+
+
 def spread(L: Any, points: Any) -> Any:
     return L.dot(points)
 

@@ -29,7 +29,7 @@ from tracker.models.graph import (
     plain,
     substitute,
 )
-from tracker.types import Array, Columns
+from tracker.types import Array, Block, Columns
 
 Author = Callable[..., Any]
 
@@ -117,6 +117,14 @@ class Trace:
         )
 
     @functools.cached_property
+    def curved(self) -> tuple[int, ...]:
+        """Positional inputs by which some output has a second derivative that is not literally zero."""
+        count = range(len(self.positional))
+        return tuple(
+            j for j in count if not all(is_zero(a[i][j]) for a in self.second for i in count)
+        )
+
+    @functools.cached_property
     def first_depends_on(self) -> frozenset[str]:
         """Inputs that the first derivatives depend on; no positional one if linear."""
         return inputs_of(e for row in self.first for e in row)
@@ -134,8 +142,9 @@ class Trace:
     def entries(self, what: str, width: int, places: Sequence[int]) -> list[Entry]:
         """Flat list of what is asked for, derivatives by a state of ``width`` components.
 
-        'value', 'first' (dense), 'columns' (used columns only), 'second', and 'joint' (value,
-        then first) or 'joint columns'.
+        'value', 'first' (dense), 'columns' (used columns only), 'second', 'joint' (value, then
+        first) or 'joint columns', and 'expansion' (that, then second where it is curved) or
+        'expansion columns'.
         """
         match what:
             case "value":
@@ -154,6 +163,10 @@ class Trace:
                 return out
             case "joint":
                 return self.roots + self.entries("first", width, places)
+            case "expansion" | "expansion columns":
+                joint = "joint" + what.removeprefix("expansion")
+                second = [a[i][j] for a in self.second for i in self.curved for j in self.curved]
+                return self.entries(joint, width, places) + second
         return self.roots + self.entries("columns", width, places)
 
     def form(self, what: str, kind: str, width: int, places: tuple[int, ...]) -> Callable[..., Any]:
@@ -322,6 +335,23 @@ class ComponentFunction:
         columns = self._bound["joint columns"].columns
         first = out[m:].reshape((m, len(columns), *out.shape[1:]))
         return out[:m], Columns(first, columns, self.width)
+
+    def expand(self, x: Any, keywords: Mapping[str, Any]) -> tuple[Any, Any, Block]:
+        """Outputs, Jacobian as in `linearise`, and Hessians, sharing what they have in common."""
+        trace = self.trace
+        places = tuple(self.places[j] for j in trace.curved)
+        if trace.linear:  # nothing is curved
+            value, first = self.linearise(x, keywords)
+            empty = np.empty((len(trace.roots), 0, 0, *(1,) * (x.ndim - 1)), dtype=x.dtype)
+            return value, first, Block(empty, places, self.width)
+        dense = x.ndim == 1
+        out = self._run("expansion" if dense else "expansion columns", x, keywords)
+        m, k = len(trace.roots), len(places)
+        columns = tuple(self.places[j] for j in trace.columns)
+        end = m + m * (self.width if dense else len(columns))
+        first = out[m:end].reshape((m, -1, *out.shape[1:]))
+        second = Block(out[end:].reshape((m, k, k, *out.shape[1:])), places, self.width)
+        return out[:m], first if dense else Columns(first, columns, self.width), second
 
     def _run(self, what: str, x: Any, keywords: Mapping[str, Any]) -> Any:
         """What is asked for, ``(*shape, *batch)``."""

@@ -1,4 +1,4 @@
-"""Value and Jacobian of any model in one call, whether or not the model offers that itself."""
+"""Value and derivatives of any model in one call, whether or not the model offers that itself."""
 
 from __future__ import annotations
 
@@ -15,3 +15,14 @@ def linearise(model: Any, x: Any, *arguments: Any) -> tuple[Any, Any]:
         return joint(x, *arguments)  # type: ignore[no-any-return]
     value = getattr(model, "f", None) or model.h
     return value(x, *arguments), model.jacobian(x, *arguments)
+
+
+def expand(model: Any, x: Any, *arguments: Any) -> tuple[Any, Any, Any]:
+    """Value and Jacobian as in `linearise`, and the Hessians: the expansion to second order.
+
+    The Hessians are an array ``(rows, n, n, *batch)`` or `tracker.types.Block`.
+    """
+    joint = getattr(model, "expand", None)
+    if joint is not None:
+        return joint(x, *arguments)  # type: ignore[no-any-return]
+    return *linearise(model, x, *arguments), model.hessian(x, *arguments)

@@ -12,7 +12,7 @@ import numpy as np
 from tracker.errors import CapabilityError, ShapeError, TraceError, wording
 from tracker.models.component import KEPT, Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
-from tracker.types import EMPTY_SPACE, ArrayLike, Space
+from tracker.types import EMPTY_SPACE, ArrayLike, Block, Space
 
 RESERVED = ("dt", "t")
 
@@ -134,6 +134,14 @@ class ComponentMotion:
         except TraceError:
             self._need_trace("a Jacobian")
             raise
+
+    def expand(
+        self, x: ArrayLike, dt: Any, u: ArrayLike | None = None, t: Any = None
+    ) -> tuple[Any, Any, Block]:
+        """`f`, its Jacobian as in `linearise`, and its Hessians together."""
+        state = shaped(x, self.space, "x", self.name)
+        self._need_trace("a Hessian")
+        return self._advance.expand(state, self._keywords(dt, u, t))
 
     def Q(self, x: ArrayLike, dt: Any) -> Any:
         """Process noise of a step, ``(n, n, *batch)``; axes of length 1 where all lanes share it."""

@@ -13,7 +13,7 @@ from tracker.algebra import residual
 from tracker.errors import CapabilityError, ShapeError, TraceError, wording
 from tracker.models.component import Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
-from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Columns, Space
+from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Block, Columns, Space
 
 
 def _function(author: str) -> Any:
@@ -149,6 +149,15 @@ class ComponentSensor:
         except TraceError:
             self._need_trace("a Jacobian")
             raise
+
+    def expand(self, x: ArrayLike, pose: ArrayLike | None = None) -> tuple[Any, Any, Block]:
+        """`h`, its Jacobian as in `linearise`, and its Hessians together."""
+        state = shaped(x, self.state, "x", self.name)
+        self._need_trace("a Hessian")
+        value, first, second = self._measure.expand(state, self._keywords(pose))
+        if self._by_hand is not None:
+            first = self.linearise(state, pose)[1]
+        return value, first, second
 
     def R(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
         """Measurement noise, ``(m, m, *batch)``; axes of length 1 where all lanes share it."""
