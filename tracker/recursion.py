@@ -5,6 +5,7 @@ Loops over records, checks of what users pass, and compiled steps live elsewhere
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,6 +33,10 @@ class Adapted:
 def is_random(filter_: Any) -> bool:
     """Whether a filter draws random numbers."""
     return bool(getattr(filter_, "random", False))
+
+
+def _asks_for(name: str, method: Any) -> bool:
+    return name in inspect.signature(method).parameters
 
 
 def why_untunable(adapter: Any, sensors: Sequence[Any]) -> str:
@@ -67,10 +72,11 @@ def begin(
         return prior
     belief = prior
     if hasattr(filter_, "begin"):
+        known = {"motion": motion} if _asks_for("motion", filter_.begin) else {}
         if not is_random(filter_):
-            belief = filter_.begin(prior)
+            belief = filter_.begin(prior, **known)
         elif rng is not None or type(prior) is not Gaussian:
-            belief = filter_.begin(prior, rng=rng)
+            belief = filter_.begin(prior, rng=rng, **known)
         else:
             raise CapabilityError(
                 f"filter {type(filter_).__name__} draws random numbers: got no generator. "
