@@ -5,9 +5,15 @@ from typing import Any
 
 _HOME = {
     "ExtendedKalmanFilter": "ekf1",
+    "FixedLagSmoother": "fixed_lag",
+    "FixedPoint": "fixed_point",
     "JosephFilter": "joseph",
     "KalmanFilter": "kf",
     "RauchTungStriebel": "rts",
+    "TwoFilterSmoother": "two_filter",
+    "fixed_point": "fixed_point",
+    "SigmaPointFilter": "sigma_point",
+    "SigmaPointRauchTungStriebel": "sigma_point_rts",
     "SecondOrderExtendedKalmanFilter": "ekf2",
 }
 __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names

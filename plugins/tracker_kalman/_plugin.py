@@ -62,3 +62,121 @@ def tracker_components(registry: Registry) -> None:
             tags=("gaussian", "fixed-interval", "traced"),
         )
     )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ukf",
+            target="tracker_kalman.sigma_point:unscented",
+            summary="Unscented Kalman filter with scaled points; options alpha, beta, kappa.",
+            paper="2",
+            equations=("23", "24", "25", "26", "27", "28", "29", "30"),
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ukf_symmetric",
+            target="tracker_kalman.sigma_point:unscented_symmetric",
+            summary="Unscented Kalman filter with 2n equal points and no centre.",
+            paper="0",
+            equations=("12", "13", "14", "15", "16", "17", "18", "19", "20", "21", "22", "23"),
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ukf_general",
+            target="tracker_kalman.sigma_point:unscented_general",
+            summary="The original unscented Kalman filter; kappa is 3 - n unless given.",
+            paper="Julier, Uhlmann and Durrant-Whyte 2000",
+            equations=("12",),
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ukf_spherical_simplex",
+            target="tracker_kalman.sigma_point:unscented_spherical_simplex",
+            summary="Unscented Kalman filter with n + 1 points on a sphere.",
+            paper="Julier 2003",
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ukf_minimal_simplex",
+            target="tracker_kalman.sigma_point:unscented_minimal_simplex",
+            summary="Unscented Kalman filter with n + 1 points of minimal skew.",
+            paper="Julier and Uhlmann 2002",
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ckf",
+            target="tracker_kalman.sigma_point:cubature",
+            summary="Cubature Kalman filter of third degree.",
+            paper="Arasaratnam and Haykin 2009",
+            equations=("36",),
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ckf5",
+            target="tracker_kalman.sigma_point:cubature_degree_5",
+            summary="Cubature Kalman filter of fifth degree.",
+            paper="Jia, Xin and Cheng 2013",
+            equations=("41",),
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="ghkf",
+            target="tracker_kalman.sigma_point:gauss_hermite",
+            summary="Gauss-Hermite Kalman filter of any order.",
+            paper="Ito and Xiong 2000",
+            tags=("gaussian", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="smoother",
+            name="sigma_point_rts",
+            target="tracker_kalman.sigma_point_rts:SigmaPointRauchTungStriebel",
+            summary="Rauch-Tung-Striebel smoother with gains from sigma points.",
+            paper="Särkkä 2008",
+            tags=("gaussian", "fixed-interval", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="smoother",
+            name="two_filter",
+            target="tracker_kalman.two_filter:TwoFilterSmoother",
+            summary="Two-filter fixed-interval smoother, its backward filter in information form.",
+            paper="Fraser and Potter, The optimum linear smoother as a combination of two optimum "
+            "linear filters, 1969",
+            equations=("Särkkä 2013, 8.12-8.15",),
+            tags=("gaussian", "fixed-interval"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="smoother",
+            name="fixed_lag",
+            target="tracker_kalman.fixed_lag:FixedLagSmoother",
+            summary="Fixed-lag smoother: each state given so many more steps; on line, tk.FixedLag.",
+            paper="Särkkä, Bayesian Filtering and Smoothing, 2013",
+            equations=("section 10.5",),
+            tags=("gaussian", "fixed-lag"),
+        )
+    )
