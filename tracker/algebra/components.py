@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from tracker.algebra.lanes import LOG_TAU, PIVOTS
-from tracker.models.functions import absolute, isnan, less, log, maximum, sqrt, where, wrap
+from tracker.models.functions import absolute, isnan, less, log, sqrt, where, wrap
 from tracker.models.graph import is_zero, plain
+
+_NORMAL = 2.0**-1022
 
 
 def _dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
@@ -101,71 +103,78 @@ def weighted(d: Any, weights: Any) -> Any:
     return _symmetric(len(d), lambda i, j: _dot(scaled[i], d[j]))
 
 
-def _inverse_factor(S: Any) -> tuple[list[list[Any]], list[Any]]:
-    """Rows of the factor below the diagonal, and the reciprocals of its diagonal.
+def _factors(S: Any) -> tuple[list[list[Any]], list[Any]]:
+    """``S = L D L'``: rows of L below its diagonal of ones, and the reciprocals of D.
 
-    A pivot of zero has the reciprocal zero: that direction carries no information.
+    No square roots, which take longer than all else in a step that waits for them. A pivot that is
+    not positive has the reciprocal zero: that direction carries no information.
     """
     m = len(S)
-    rows: list[list[Any]] = [[0.0] * m for _ in range(m)]
+    rows: list[list[Any]] = []
     inverse: list[Any] = []
     for a in range(m):
-        for b in range(a):
-            rows[a][b] = plain((S[a, b] - _dot(rows[a][:b], rows[b][:b])) * inverse[b])
-        pivot = S[a, a] - _dot(rows[a][:a], rows[a][:a])
-        if is_zero(pivot):
-            inverse.append(0.0)
-            continue
-        good = pivot > 0.0
-        nan = isnan(pivot)
-        root = 1.0 / sqrt(where(good, pivot, 1.0))
-        inverse.append(where(good, root, where(nan, pivot, 0.0)))
+        row, pivot = _eliminated(S, a, rows, inverse)
+        rows.append(row)
+        inverse.append(
+            0.0 if is_zero(pivot) else where(less(pivot, _NORMAL), 0.0, 1.0 / pivot)
+        )  # NaN stays
     return rows, inverse
+
+
+def _eliminated(S: Any, a: int, rows: list[list[Any]], inverse: list[Any]) -> tuple[list[Any], Any]:
+    """Row a of L, and the pivot that is left, given the rows and reciprocals before it."""
+    scaled: list[Any] = []  # of L D
+    row: list[Any] = []
+    for b in range(a):
+        scaled.append(S[a, b] - _dot(scaled, rows[b]))
+        row.append(plain(scaled[b] * inverse[b]))
+    return row, S[a, a] - _dot(scaled, row)
 
 
 def factor(P: Any) -> Any:
     n = len(P)
-    rows, inverse = _inverse_factor(P)
     out = np.zeros((n, n), dtype=object)
+    inverse: list[Any] = []
     for a in range(n):
         for b in range(a):
-            out[a, b] = rows[a][b]
-        pivot = P[a, a] - _dot(rows[a][:a], rows[a][:a])
-        out[a, a] = 0.0 if is_zero(inverse[a]) else plain(sqrt(maximum(pivot, 0.0)))
+            out[a, b] = plain((P[a, b] - _dot(out[a, :b], out[b, :b])) * inverse[b])
+        pivot = P[a, a] - _dot(out[a, :a], out[a, :a])
+        if is_zero(pivot):
+            inverse.append(0.0)
+            continue
+        good = pivot > 0.0
+        bad = where(isnan(pivot), pivot, 0.0)
+        root = sqrt(where(good, pivot, 1.0))
+        inverse.append(where(good, 1.0 / root, bad))
+        out[a, a] = plain(where(good, root, bad))
     return out
 
 
-def _forward(rows: list[list[Any]], inverse: list[Any], columns: list[Any]) -> list[Any]:
+def _forward(rows: list[list[Any]], columns: list[Any]) -> list[Any]:
     """Rows of L^-1 B, given the rows of B."""
     out: list[Any] = []
     for a, column in enumerate(columns):
-        below = rows[a][:a]
-        out.append(
-            [
-                plain((e - _dot(below, [w[i] for w in out])) * inverse[a])
-                for i, e in enumerate(column)
-            ]
-        )
+        out.append([plain(e - _dot(rows[a], [w[i] for w in out])) for i, e in enumerate(column)])
     return out
 
 
 def gain(cross: Any, S: Any) -> Any:
     n, m = cross.shape
-    rows, inverse = _inverse_factor(S)
-    whitened = _forward(rows, inverse, [list(cross[:, a]) for a in range(m)])
+    rows, inverse = _factors(S)
+    ahead = _forward(rows, [list(cross[:, a]) for a in range(m)])
     out = np.zeros((n, m), dtype=object)
     for a in reversed(range(m)):
         later = range(a + 1, m)
         for i in range(n):
             known = _dot([rows[b][a] for b in later], [out[i, b] for b in later])
-            out[i, a] = plain((whitened[a][i] - known) * inverse[a])
+            out[i, a] = plain(ahead[a][i] * inverse[a] - known)
     return out
 
 
 def mahalanobis(v: Any, S: Any) -> Any:
-    rows, inverse = _inverse_factor(S)
-    y = [row[0] for row in _forward(rows, inverse, [[e] for e in v])]
-    return _dot(y, y)
+    rows, inverse = _factors(S)
+    y = [row[0] for row in _forward(rows, [[e] for e in v])]
+    return _dot(y, [u * r for u, r in zip(y, inverse, strict=True)])
 
 
 def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
@@ -179,8 +188,9 @@ def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
 
 
 def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...]:
+    # By S = L D L', as in _factors; but a negative pivot is an error here, and must be seen.
     n, m = cross.shape
-    rows: list[list[Any]] = [[0.0] * m for _ in range(m)]
+    rows: list[list[Any]] = []
     inverse: list[Any] = []
     logarithm: Any = 0.0
     determinant: Any = 1.0
@@ -188,28 +198,39 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     residuals = []
     for k in range(m):
         missing = isnan(v[k])
-        for j in range(k):
-            rows[k][j] = plain((S[k, j] - _dot(rows[k][:j], rows[j][:j])) * inverse[j])
-        pivot = S[k, k] - _dot(rows[k][:k], rows[k][:k])
-        inverse.append(where(missing, 0.0, 1.0 / sqrt(pivot)))
+        row, pivot = _eliminated(S, k, rows, inverse)
+        rows.append(row)
+        reciprocal = where(less(pivot, 0.0), math.nan, 1.0 / pivot)
+        inverse.append(where(missing, 0.0, reciprocal))
         determinant = determinant * where(missing, 1.0, pivot)
         if k % PIVOTS == PIVOTS - 1:
             logarithm, determinant = logarithm + log(determinant), 1.0
         count = count + where(missing, 0.0, 1.0)
         residuals.append([where(missing, 0.0, v[k])])
-    y = [row[0] for row in _forward(rows, inverse, residuals)]
-    W = _forward(rows, inverse, [list(cross[:, k]) for k in range(m)])
-    column = [[w[i] for w in W] for i in range(n)]
-    new = _vector(mean[i] + _dot(column[i], y) for i in range(n))
+    y = [row[0] for row in _forward(rows, residuals)]
+    scaled = [plain(u * r) for u, r in zip(y, inverse, strict=True)]
+    ahead = _forward(rows, [list(cross[:, k]) for k in range(m)])
+    column = [[w[i] for w in ahead] for i in range(n)]
+    over = [[plain(w * r) for w, r in zip(column[i], inverse, strict=True)] for i in range(n)]
+    new = _vector(mean[i] + _dot(column[i], scaled) for i in range(n))
     total: Any = 0.0
     for e in new:
         total = total + e
     # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
-    nis = where(less(absolute(total), math.inf), _dot(y, y), math.nan)
-    updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(column[i], column[j]))
-    for i in range(n):  # a negative variance where there was none is an error, not an estimate
-        if updated[i, i] is not cov[i, i]:
-            before = where(less(cov[i, i], 0.0), nis, math.nan)
-            nis = where(less(updated[i, i], 0.0), before, nis)
+    nis = where(less(absolute(total), math.inf), _dot(y, scaled), math.nan)
+    updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(over[i], column[j]))
+    # A negative variance where there was none is an error, not an estimate.
+    changed = [i for i in range(n) if updated[i, i] is not cov[i, i]]
+    if changed:
+        before = where(less(_least(cov, changed), 0.0), nis, math.nan)
+        nis = where(less(_least(updated, changed), 0.0), before, nis)
     loglik = -0.5 * (nis + (logarithm + log(determinant)) + LOG_TAU * count)
     return new, updated, nis, loglik, count
+
+
+def _least(P: Any, places: list[int]) -> Any:
+    """The smallest of some variances. NaN may be overlooked: the mean tells of it."""
+    out = P[places[0], places[0]]
+    for i in places[1:]:
+        out = where(less(P[i, i], out), P[i, i], out)
+    return out

@@ -3,10 +3,11 @@
 They replace ``atan2``, ``sin``, ``cos``, ``exp`` and ``log`` of a graph before it is emitted, because
 a vector of lanes cannot call a scalar library. Accuracy: at most 2 ulp of the C library's answer
 (``sin`` and ``cos`` for ``|x|`` up to 1e5, by absolute error of 1 ulp of 1 near their zeros). NaN in
-gives NaN out. Not like the C library: zeros have no sign in ``atan2``, which is 0 at
-the origin and inaccurate within 1e-300 of it; two infinities have the angle of the x axis; and ``exp`` gives 0 below -708 (no subnormal results).
+gives NaN out. Not like the C library: zeros have no sign in ``atan2``, which is 0 at the origin and
+inaccurate within 1e-300 of it and beyond 8e307; two infinities have the angle of the x axis; and
+``exp`` gives 0 below -708 (no subnormal results).
 
-Reference: S. L. Moshier, Cephes Mathematical Library, atan.c, exp.c; the reductions are those of W. J.
+Reference: S. L. Moshier, Cephes Mathematical Library, exp.c; the reductions are those of W. J.
 Cody and W. Waite, Software Manual for the Elementary Functions; log after the polynomial of FDLIBM.
 """
 
@@ -19,6 +20,7 @@ from typing import Any
 from tracker.models.functions import absolute, floor, isnan, less, maximum, minimum, where
 
 LARGEST = 1.7976931348623157e308
+SMALLEST = 5e-324
 
 
 def _polynomial(z: Any, *coefficients: float) -> Any:
@@ -29,42 +31,47 @@ def _polynomial(z: Any, *coefficients: float) -> Any:
     return out
 
 
+def _two_chains(z: Any, *coefficients: float) -> Any:
+    """A polynomial by its even and odd powers, highest power first: half as long to wait for."""
+    square = z * z
+    even, odd = coefficients[1::2], coefficients[::2]
+    if len(coefficients) % 2:
+        even, odd = odd, even
+    return _polynomial(square, *odd) * z + _polynomial(square, *even)
+
+
 def atan2(y: Any, x: Any) -> Any:
     """Angle of the point (x, y)."""
     ax, ay = absolute(x), absolute(y)
-    longer, shorter = maximum(ax, ay), minimum(ay, ax)
+    wide = less(ax, ay)
+    # Either NaN reaches the quotient, because comparisons with it are false.
+    longer, shorter = where(wide, ay, ax), minimum(where(wide, ax, ay), LARGEST)
     steep = less(0.41421356237309503 * longer, shorter)
-    # Reduced to |q| <= tan(pi/8); the bound keeps 0/0 of the origin at 0. The quotient is corrected
-    # once, because a product with a reciprocal is an ulp off and the sum below amplifies it.
+    # Reduced to |q| <= tan(pi/8); the bound keeps 0/0 of the origin at 0.
     above = where(steep, shorter - longer, shorter)
-    below = maximum(where(steep, shorter + longer, longer), 1e-300)
-    inverse = 1.0 / below
-    q = above * inverse
-    q = where(less(LARGEST, longer), 0.0, q + (above - q * below) * inverse)
+    q = above / maximum(where(steep, shorter + longer, longer), 1e-300)
     z = q * q
-    p = _polynomial(
-        z,
-        -8.750608600031904122785e-1,
-        -1.615753718733365076637e1,
-        -7.500855792314704667340e1,
-        -1.228866684490136173410e2,
-        -6.485021904942025371773e1,
-    )
-    d = _polynomial(
-        z,
-        1.0,
-        2.485846490142306297962e1,
-        1.650270098316988542046e2,
-        4.328810604912902668951e2,
-        4.853903996359136964868e2,
-        1.945506571482613964425e2,
-    )
-    r = q + q * (z * p / d)
+    r = q + q * (z * _two_chains(z, *_ARCTANGENT))
     r = where(steep, r + 0.7853981633974483, r)
-    r = where(less(ax, ay), 1.5707963267948966 - r, r)
+    r = where(wide, 1.5707963267948966 - r, r)
     r = where(less(x, 0.0), math.pi - r, r)
-    r = where(less(y, 0.0), -r, r)
-    return where(isnan(x), x, where(isnan(y), y, r))
+    return where(less(y, 0.0), -r, r)
+
+
+_ARCTANGENT = (
+    -0.017905018243030178,
+    0.03806212010643049,
+    -0.050391896366747554,
+    0.05847859097557908,
+    -0.0666309917993315,
+    0.07692059715425502,
+    -0.0909089772515136,
+    0.11111110782152478,
+    -0.14285714280166556,
+    0.1999999999995325,
+    -0.333333333333332,
+)
+"""Of (atan(q) - q) / q^3 in q^2, minimax for the relative error of atan(q): 1.3e-18."""
 
 
 def _sine_and_cosine(x: Any) -> tuple[Any, Any, Any]:
@@ -137,10 +144,8 @@ def log(x: Any) -> Any:
     # Subnormal numbers are scaled up first: their exponent field is zero.
     tiny = less(x, 2.2250738585072014e-308)
     scaled = where(tiny, x * 18014398509481984.0, x)
-    exponent, mantissa = graph.make("exponent", scaled), graph.make("mantissa", scaled)
-    exponent = where(tiny, exponent - 54.0, exponent)
-    big = less(1.4142135623730951, mantissa)
-    m, e = where(big, 0.5 * mantissa, mantissa), where(big, exponent + 1.0, exponent)
+    e, m = graph.make("exponent", scaled), graph.make("mantissa", scaled)
+    e = where(tiny, e - 54.0, e)
     f = m - 1.0
     s = f / (2.0 + f)
     z = s * s
@@ -159,8 +164,7 @@ def log(x: Any) -> Any:
         (h - (s * (h + p) + e * 1.90821492927058770002e-10)) - f
     )
     value = where(less(x, math.inf), value, x)
-    value = where(less(0.0, x), value, where(less(x, 0.0), math.nan, -math.inf))
-    return where(isnan(x), x, value)
+    return where(less(x, SMALLEST), where(less(x, 0.0), math.nan, -math.inf), value)
 
 
 EXPANSIONS: Mapping[str, Callable[..., Any]] = {

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,9 @@ FLAGS = "contract nsz arcp"
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul"}
 _INTRINSIC = {"sqrt": "sqrt", "floor": "floor", "abs": "fabs"}
 _BOOLEAN = frozenset({"less", "isnan"})
+_ROOT_OF_HALF = 0x3FE6A09E667F3BCD
+"""Bits of the double that is the square root of 1/2."""
+
 _V, _I, _M = f"<{WIDTH} x double>", f"<{WIDTH} x i64>", f"<{WIDTH} x i1>"
 
 
@@ -41,8 +44,10 @@ def _repeated(text: str, kind: str) -> str:
 class _Writer:
     """Lines of one function, and the names of the values that nodes have become."""
 
-    def __init__(self, rates: Mapping[int, Rate], program: Program) -> None:
-        self.rates, self.program = rates, program
+    def __init__(
+        self, rates: Mapping[int, Rate], program: Program, divisors: frozenset[int]
+    ) -> None:
+        self.rates, self.program, self.divisors = rates, program, divisors
         self.lines: list[str] = []
         self.names: dict[int, str] = {}
         self.splats: dict[int, str] = {}
@@ -80,6 +85,13 @@ class _Writer:
     def operation(self, node: Node) -> None:
         vector = self.per_lane(node)
         t, i, b = (_V, _I, _M) if vector else ("double", "i64", "i1")
+        if node.index in self.divisors:
+            return
+        if node.op == "mul" and any(x.index in self.divisors for x in node.args):
+            below, above = sorted(node.args, key=lambda x: x.index not in self.divisors)
+            over, under = self.operand(above, vector), self.operand(below.args[0], vector)
+            self.names[node.index] = self.emit(f"fdiv {FLAGS} {t} {over}, {under}")
+            return
         a = [self.operand(x, vector) for x in node.args]
 
         def const(value: Any, kind: str = "i64") -> str:
@@ -102,27 +114,30 @@ class _Writer:
             case "where":
                 r = self.emit(f"select {b} {a[0]}, {t} {a[1]}, {t} {a[2]}")
             case "min" | "max":
-                # NumPy's rule: a NaN in either operand survives.
-                order = self.emit(f"fcmp {'olt' if node.op == 'min' else 'ogt'} {t} {a[0]}, {a[1]}")
-                chosen = self.emit(f"select {b} {order}, {t} {a[0]}, {t} {a[1]}")
-                unordered = self.emit(f"fcmp uno {t} {a[0]}, {a[0]}")
-                r = self.emit(f"select {b} {unordered}, {t} {a[0]}, {t} {chosen}")
+                # NumPy's rule: a NaN in either operand survives. A comparison with it is false.
+                if node.args[0].op == "const":
+                    a.reverse()
+                order = self.emit(f"fcmp {'olt' if node.op == 'min' else 'ogt'} {t} {a[1]}, {a[0]}")
+                r = self.emit(f"select {b} {order}, {t} {a[1]}, {t} {a[0]}")
+                if all(x.op != "const" for x in node.args):
+                    unordered = self.emit(f"fcmp uno {t} {a[1]}, {a[1]}")
+                    r = self.emit(f"select {b} {unordered}, {t} {a[1]}, {t} {r}")
             case "pow2":
                 k = self.emit(f"fptosi {t} {a[0]} to {i}")
                 k = self.emit(f"add {i} {k}, {const(1023)}")
                 k = self.emit(f"shl {i} {k}, {const(52)}")
                 r = self.emit(f"bitcast {i} {k} to {t}")
-            case "exponent":
-                k = self.emit(f"bitcast {t} {a[0]} to {i}")
-                k = self.emit(f"lshr {i} {k}, {const(52)}")
-                k = self.emit(f"and {i} {k}, {const(0x7FF)}")
-                k = self.emit(f"sub {i} {k}, {const(1023)}")
-                r = self.emit(f"sitofp {i} {k} to {t}")
-            case "mantissa":
-                k = self.emit(f"bitcast {t} {a[0]} to {i}")
-                k = self.emit(f"and {i} {k}, {const(0x000FFFFFFFFFFFFF)}")
-                k = self.emit(f"or {i} {k}, {const(0x3FF0000000000000)}")
-                r = self.emit(f"bitcast {i} {k} to {t}")
+            case "exponent" | "mantissa":
+                # Of a positive number, so that the mantissa lies between the roots of 1/2 and 2.
+                bits = self.emit(f"bitcast {t} {a[0]} to {i}")
+                k = self.emit(f"sub {i} {bits}, {const(_ROOT_OF_HALF)}")
+                k = self.emit(f"ashr {i} {k}, {const(52)}")
+                if node.op == "exponent":
+                    r = self.emit(f"sitofp {i} {k} to {t}")
+                else:
+                    k = self.emit(f"shl {i} {k}, {const(52)}")
+                    k = self.emit(f"sub {i} {bits}, {k}")
+                    r = self.emit(f"bitcast {i} {k} to {t}")
             case _:
                 raise NotImplementedError(node.op)  # pragma: no cover - every primitive is above
         self.names[node.index] = r
@@ -158,6 +173,27 @@ class _Writer:
                 self.splat(node)
 
 
+def _divisors(low: Program, order: Sequence[Node], rates: Mapping[int, Rate]) -> frozenset[int]:
+    """Reciprocals of which one product is all that becomes: a division is as fast, and exact."""
+    users: dict[int, list[Node]] = {}
+    for node in order:
+        for a in node.args:
+            users.setdefault(a.index, []).append(node)
+    kept = {n.index for v in range(low.variants) for n in low.roots(v)}
+    out: set[int] = set()
+    for node in order:
+        mine = users.get(node.index, [])
+        if node.op == "recip" and node.index not in kept and len(mine) == 1:
+            product = mine[0]
+            if (
+                product.op == "mul"
+                and rates[product.index] == rates[node.index]
+                and not any(a.index in out for a in product.args)
+            ):
+                out.add(node.index)
+    return frozenset(out)
+
+
 def emit(program: Program) -> str:
     """LLVM text of ``void run(i64 first, i64 last, i64 T, arrays...)`` over groups first..last-1."""
     program.finished()
@@ -166,7 +202,7 @@ def emit(program: Program) -> str:
     needs = [needed(low.roots(v)) for v in variants]
     order = sorted({n.index: n for nodes in needs for n in nodes}.values(), key=lambda n: n.index)
     rates = low.rates(order)
-    w = _Writer(rates, low)
+    w = _Writer(rates, low, _divisors(low, order, rates))
     users = [{n.index for n in nodes} for nodes in needs]
 
     def shared(node: Node) -> bool:
