@@ -372,10 +372,10 @@ def test_what_cannot_be_compiled_runs_on_arrays_and_says_why(monkeypatch):
         tk.filter(est, record, tk.Gaussian([1.0, 0, 0, 0], np.eye(4)))
 
 
-def test_a_filter_that_holds_an_array_runs_on_arrays_and_says_why(monkeypatch):
+def test_a_filter_that_holds_a_list_runs_on_arrays_and_says_why(monkeypatch):
     @attrs.frozen(eq=False)
     class Tuned(ExtendedKalmanFilter):
-        weights: np.ndarray = attrs.field(factory=lambda: np.ones(3))
+        weights: list[float] = attrs.field(factory=lambda: [1.0])
 
     monkeypatch.setenv("TRACKER_COMPILE", "on")
     est, record, prior = problem((3,), steps=3)

@@ -6,7 +6,7 @@ algorithm, and nothing in a plugin mentions compilation. Running the programs is
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar
 
 import attrs
@@ -14,9 +14,22 @@ import numpy as np
 
 from tracker.algebra import residual
 from tracker.compile.program import Program, Rate
+from tracker.compile.values import (
+    Form,
+    Tree,
+    built,
+    entries,
+    leaves,
+    of_nodes,
+    pack,
+    triangle,
+    unpack,
+)
 from tracker.errors import TraceError
 from tracker.models.functions import absolute, isnan, less, where
 from tracker.models.graph import Node
+from tracker.models.parameters import numbers_of, with_numbers
+from tracker.recursion import Adapted, advance, is_random
 from tracker.types import EMPTY_SPACE, Gaussian, Space
 
 INFINITY = float("inf")
@@ -35,6 +48,15 @@ class Layout:
     motion: Any = attrs.field(eq=False)
     sensors: tuple[Any, ...] = attrs.field(eq=False)
     smoother: Any = attrs.field(eq=False)
+    adapter: Any = attrs.field(eq=False)
+    carried: Form = attrs.field(eq=False)
+
+    @property
+    def belief(self) -> Form:
+        """What the filter believes, of what is carried."""
+        if isinstance(self.carried, Tree) and self.carried.kind is Adapted:
+            return dict(self.carried.parts)["belief"]
+        return self.carried
 
     def rate(self, name: str) -> Rate:
         """How often an input changes."""
@@ -42,33 +64,36 @@ class Layout:
 
 
 def structure(component: Any) -> Any:
-    """What a component bakes into a program: everything but the values of its parameters."""
+    """What a component bakes into a program: everything but the values of the numbers it offers.
+
+    A component of parts whose numbers it offers as its own says so by a ``structure``, a key without
+    them.
+    """
     if isinstance(component, Linearised) or not attrs.has(type(component)):
         return component
-    fields = [f.name for f in attrs.fields(type(component)) if f.init and f.name != "parameters"]
-    values = tuple(getattr(component, name.lstrip("_")) for name in fields)
-    return (type(component), *values, *getattr(component, "parameters", ()))
+    numbers = numbers_of(component)
+    own = getattr(component, "structure", None)
+    if own is not None:
+        return (type(component), own, *numbers)
+    return (*_fields(component, {"parameters", *numbers}), *numbers)
 
 
-def triangle(n: int) -> int:
-    """Entries of an upper triangle."""
-    return n * (n + 1) // 2
+def _fields(component: Any, but: Collection[str] = ()) -> tuple[Any, ...]:
+    kept = [f.name for f in attrs.fields(type(component)) if f.init and f.name not in but]
+    return (type(component), *(_key(getattr(component, name)) for name in kept))
 
 
-def pack(matrix: Any) -> list[Any]:
-    """Upper triangle, row by row."""
-    n = len(matrix)
-    return [matrix[i, j] for i in range(n) for j in range(i, n)]
-
-
-def unpack(entries: Sequence[Any], n: int) -> Any:
-    """The symmetric matrix with that upper triangle, as an object array."""
-    out = np.empty((n, n), dtype=object)
-    flat = iter(entries)
-    for i in range(n):
-        for j in range(i, n):
-            out[i, j] = out[j, i] = next(flat)
-    return out
+def _key(value: Any) -> Any:
+    """A hashable stand-in that is equal for equal values, where the value is not one itself."""
+    if isinstance(value, np.ndarray):
+        return (value.shape, value.dtype.str, value.tobytes())
+    if isinstance(value, tuple):
+        return tuple(_key(v) for v in value)
+    if isinstance(value, Mapping):
+        return tuple((k, _key(v)) for k, v in value.items())
+    if attrs.has(type(value)) and type(value).__hash__ is object.__hash__:
+        return _fields(value)
+    return value
 
 
 def vector(entries: Sequence[Any]) -> Any:
@@ -89,6 +114,8 @@ def why_not(filter_: Any, motion: Any, sensors: Sequence[Any]) -> str:
             return f"{role} {name!r} does not offer its parameters (with_parameters)"
     if "opaque" in getattr(filter_, "tags", ()):
         return f"filter {type(filter_).__name__} says that it is opaque"
+    if is_random(filter_):
+        return f"filter {type(filter_).__name__} draws random numbers"
     return ""
 
 
@@ -161,19 +188,37 @@ class _Composer:
         self.dt, self.t = dt, t
         u = program.input("u", layout.inputs, layout.rate("u")) if layout.inputs else None
         self.u = None if u is None else vector(u)
-        self.motion = self._with_parameters("motion", layout.motion)
+        self.motion = self._with_numbers("motion", layout.motion)
+        self.filter = self._with_numbers("filter", layout.filter)
+        self.adapter = self._with_numbers("adapter", layout.adapter)
 
-    def _with_parameters(self, owner: str, model: Any) -> Any:
-        names = list(model.parameters)
+    def _with_numbers(self, owner: str, component: Any) -> Any:
         nodes = {
             name: self.program.input(f"{owner}.{name}", 1, self.layout.rate(f"{owner}.{name}"))[0]
-            for name in names
+            for name in numbers_of(component)
         }
-        return model.with_parameters(**nodes) if nodes else model
+        return with_numbers(component, nodes)
+
+    def carried(self) -> Any:
+        """What the step begins with: the belief and the adapter's memories, as states."""
+        nodes = {
+            leaf.name: self.program.delay(leaf.name, leaf.count, leaf.length)
+            if leaf.length
+            else self.program.state(leaf.name, leaf.count)
+            for leaf in leaves(self.layout.carried)
+        }
+        return built(self.layout.carried, lambda leaf: of_nodes(leaf, nodes[leaf.name]))
+
+    def carry(self, value: Any, variant: int) -> None:
+        """What the next step begins with."""
+        lines = {leaf.name for leaf in leaves(self.layout.carried) if leaf.length}
+        for name, found in entries(self.layout.carried, value).items():
+            _symbolic(self.layout.filter, found)
+            (self.program.feed if name in lines else self.program.set)(name, found, variant)
 
     def sensor(self, i: int) -> tuple[Any, Any]:
         """Sensor i, and its pose."""
-        sensor = self._with_parameters(f"sensor{i}", self.layout.sensors[i])
+        sensor = self._with_numbers(f"sensor{i}", self.layout.sensors[i])
         if isinstance(sensor, Linearised):
             return sensor.worth(self.program.input(f"seen{i}", sensor.size, Rate.BOTH)), None
         size = sensor.pose_space.size
@@ -186,34 +231,39 @@ class _Composer:
 def forward(layout: Layout) -> Program:
     """Predict and update, with the histories or scores that ``layout.keep`` names.
 
-    Keep: "predicted", "filtered", "innovation" (histories); "scores" (against the input "truth").
+    Keep: "predicted", "filtered", "innovation" and "beliefs" (histories); "scores" (against the input
+    "truth").
     """
     count = len(layout.sensors)
     program = Program(variants=count)
     if count > 1:
         program.input("variant", 1, Rate.STEP)
+    if count > 1 and any(leaf.length for leaf in leaves(layout.carried)):
+        # A delay line moves on at every step; a sensor's window only when it measured.
+        raise TraceError("it keeps a window for each of several sensors")
     c = _Composer(program, layout)
-    n = c.n
-    state = Gaussian.trusted(
-        vector(program.state("x", n)), unpack(program.state("P", triangle(n)), n)
-    )
-    most = max(s.space.size for s in layout.sensors)
-    z = program.input("z", most, Rate.BOTH)
+    carried = c.carried()
+    z = program.input("z", max(s.space.size for s in layout.sensors), Rate.BOTH)
     scored = "scores" in layout.keep
-    truth = vector(program.input("truth", n, Rate.BOTH)) if scored else None
+    truth = vector(program.input("truth", c.n, Rate.BOTH)) if scored else None
     counted = program.input("counted", 1, Rate.LANE)[0] if scored else 1.0
-    predicted = layout.filter.predict(state, c.motion, c.dt, c.u, c.t)
     for i in range(count):
         sensor, pose = c.sensor(i)
-        m = sensor.space.size
-        updated, innovation = layout.filter.update(predicted, sensor, vector(z[:m]), pose)
-        _symbolic(layout.filter, updated.mean)
-        program.set("x", list(updated.mean), i)
-        program.set("P", pack(updated.cov), i)
-        _histories(program, i, layout, predicted, updated, innovation)
+        measured = vector(z[: sensor.space.size])
+        after, predicted, belief, innovation = advance(
+            c.filter, c.adapter, carried, c.motion, sensor, i, measured, c.dt, c.u, c.t, pose
+        )
+        c.carry(after, i)
+        estimate = belief.moments()
+        _symbolic(layout.filter, estimate.mean)
+        _histories(program, i, layout, predicted.moments(), estimate, innovation)
+        if "beliefs" in layout.keep:
+            for when, value in (("predicted", predicted), ("filtered", belief)):
+                for name, found in entries(layout.belief, value).items():
+                    program.history(f"{when}.{name}", found, i)
         if truth is not None:
             more = [innovation.nis, innovation.count, innovation.loglik]
-            scores(program, i, layout.motion, updated, truth, counted, more)
+            scores(program, i, layout.motion, estimate, truth, counted, more)
     return program
 
 

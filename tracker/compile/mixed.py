@@ -22,11 +22,23 @@ import numpy as np
 
 from tracker.algebra import at_once, dense
 from tracker.compile import objects
-from tracker.compile.fuse import Layout, Linearised, around, pack, unpack, why_not
+from tracker.compile.fuse import Layout, Linearised, around, why_not
 from tracker.compile.llvm import Kernel
 from tracker.compile.program import Program, Rate, allocate, tile
-from tracker.compile.run import MISSING, Parts, _flat, _hashable, _layout, _prior, _Problem, mode
-from tracker.errors import ShapeError, TraceError, wording
+from tracker.compile.run import (
+    FAILURES,
+    MISSING,
+    Parts,
+    _flat,
+    _hashable,
+    _layout,
+    _prior,
+    _Problem,
+    begins_otherwise,
+    mode,
+)
+from tracker.compile.values import pack, unpack
+from tracker.errors import ShapeError, wording
 from tracker.models.linearise import linearise
 from tracker.models.sensor import ComponentSensor
 from tracker.types import Array, Columns, Gaussian, History, Innovation, Record, Trajectory
@@ -46,6 +58,8 @@ def reason(estimator: Any) -> str:
     why = why_not(estimator.filter, estimator.motion, ())
     if why:
         return why
+    if begins_otherwise(estimator):
+        return "more than a Gaussian is carried from step to step"
     opaque = _opaque(estimator)
     if not opaque:
         return "no sensor is opaque"
@@ -80,7 +94,7 @@ def _parts(estimator: Any, stand_ins: Mapping[int, Linearised]) -> Parts:
 def _trial(layout: Layout) -> str:
     try:
         around(layout)
-    except (TraceError, TypeError, AttributeError, ValueError, IndexError) as error:
+    except FAILURES as error:
         return f"filter {type(layout.filter).__name__} cannot be traced: {error}"
     return ""
 

@@ -15,13 +15,17 @@ from typing import Any
 import attrs
 import numpy as np
 
+from tracker.algebra import at_once
 from tracker.compile import objects
-from tracker.compile.fuse import Layout, backward, forward, pack, structure, triangle, why_not
+from tracker.compile.fuse import Layout, backward, forward, structure, why_not
 from tracker.compile.llvm import Kernel
 from tracker.compile.program import BLOCK, WIDTH, Program, Rate, allocate, tile, tile_into, untile
+from tracker.compile.values import Form, built, entries, form_of, leaves, pack, triangle
 from tracker.errors import CapabilityError, ConfigError, TraceError
+from tracker.models.parameters import numbers_of
+from tracker.recursion import begin
 from tracker.threads import each, shares
-from tracker.types import Array, Gaussian, History, Innovation, Record, Trajectory
+from tracker.types import Array, Beliefs, Gaussian, History, Innovation, Record, Trajectory
 
 MISSING = "llvmlite is not installed (pip install 'tracker-lab[fast]')"
 MODES = ("on", "off", "require")
@@ -54,10 +58,20 @@ def reason(estimator: Any) -> str:
     if not objects.available():
         why = MISSING
     else:
-        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _hashable(
-            _trial, _layout(estimator, {}, 0, ("filtered",))
-        )
+        why = why_not(estimator.filter, estimator.motion, estimator.sensors) or _begins(estimator)
     return _required(why, wanted)
+
+
+FAILURES = (TraceError, TypeError, AttributeError, ValueError, IndexError)
+"""What a component may raise that was not written for graph nodes."""
+
+
+def _begins(estimator: Any) -> str:
+    try:
+        layout = _layout(estimator, {}, 0, ("filtered",))
+    except FAILURES as error:
+        return f"what filter {type(estimator.filter).__name__} believes cannot be carried: {error}"
+    return _hashable(_trial, layout)
 
 
 def _hashable(trial: Callable[[Layout], str], layout: Layout) -> str:
@@ -73,7 +87,7 @@ def _trial(layout: Layout) -> str:
     """Whether the filter's own methods run on graph nodes."""
     try:
         forward(layout)
-    except (TraceError, TypeError, AttributeError, ValueError, IndexError) as error:
+    except FAILURES as error:
         return f"filter {type(layout.filter).__name__} cannot be traced: {error}"
     return ""
 
@@ -86,6 +100,7 @@ class Parts:
     motion: Any
     sensors: tuple[Any, ...] = ()
     smoother: Any = None
+    adapter: Any = None
 
 
 def _afterwards(estimator: Any) -> Parts:
@@ -123,7 +138,7 @@ def _required(why: str, wanted: str) -> str:
 def _trial_backwards(layout: Layout) -> str:
     try:
         backward(layout)
-    except (TraceError, TypeError, AttributeError, ValueError, IndexError) as error:
+    except FAILURES as error:
         return f"smoother {type(layout.smoother).__name__} cannot be traced: {error}"
     return ""
 
@@ -139,15 +154,18 @@ def _layout(
     estimator: Any, rates: Mapping[str, Rate], inputs: int, keep: tuple[str, ...]
 ) -> Layout:
     given = {"dt": Rate.STEP, "u": Rate.STEP}
-    owners = [("motion", estimator.motion)]
-    for i, sensor in enumerate(estimator.sensors):
-        owners.append((f"sensor{i}", sensor))
-        given[f"pose{i}"] = Rate.STEP
-    for owner, model in owners:
-        for name, value in model.parameters.items():
+    given |= {f"pose{i}": Rate.STEP for i in range(len(estimator.sensors))}
+    for owner, component in owners(estimator).items():
+        for name, value in numbers_of(component).items():
             given[f"{owner}.{name}"] = Rate.LANE if np.ndim(value) else Rate.CALL
     given |= rates
-    whole = (estimator.filter, estimator.smoother, estimator.motion, *estimator.sensors)
+    whole = (
+        estimator.filter,
+        estimator.smoother,
+        estimator.adapter,
+        estimator.motion,
+        *estimator.sensors,
+    )
     return Layout(
         structure=tuple(structure(c) for c in whole),
         rates=tuple(sorted(given.items())),
@@ -157,6 +175,44 @@ def _layout(
         motion=estimator.motion,
         sensors=estimator.sensors,
         smoother=estimator.smoother,
+        adapter=estimator.adapter,
+        carried=_carried(estimator),
+    )
+
+
+def owners(estimator: Any) -> dict[str, Any]:
+    """The components that offer numbers, by what their inputs' names begin with."""
+    own = {
+        "motion": estimator.motion,
+        "filter": estimator.filter,
+        "adapter": estimator.adapter,
+    }
+    return own | {f"sensor{i}": s for i, s in enumerate(estimator.sensors)}
+
+
+def begins_otherwise(estimator: Any) -> bool:
+    """Whether more, or something else, is carried from step to step than a Gaussian."""
+    return estimator.adapter is not None or hasattr(estimator.filter, "begin")
+
+
+def _carried(estimator: Any) -> Form:
+    n = estimator.motion.space.size
+    if not begins_otherwise(estimator):
+        return _gaussian(n)
+    prior = Gaussian.trusted(np.zeros((n, 1)), np.eye(n)[..., None])
+    pose = np.zeros((max(s.pose_space.size for s in estimator.sensors), 1))
+    with at_once():
+        return form_of(_begun(estimator, prior, pose), 1)
+
+
+@functools.cache
+def _gaussian(n: int) -> Form:
+    return form_of(Gaussian.trusted(np.zeros(n), np.eye(n)), 0)
+
+
+def _begun(estimator: Any, prior: Gaussian, pose: Any) -> Any:
+    return begin(
+        estimator.filter, estimator.adapter, estimator.motion, estimator.sensors, prior, pose
     )
 
 
@@ -204,14 +260,12 @@ class _Problem:
         self._put(program, out, "t", before[:, None], 2)
         if self.record.u is not None:
             self._put(program, out, "u", self.record.u, 2)
-        owners = [("motion", self.estimator.motion)]
         for i, sensor in enumerate(self.estimator.sensors):
-            owners.append((f"sensor{i}", sensor))
             if f"pose{i}" in out and self.record.pose is not None:
                 size = sensor.pose_space.size
                 self._put(program, out, f"pose{i}", self.record.pose[:, :size], 2)
-        for owner, model in owners:
-            for name, value in model.parameters.items():
+        for owner, component in owners(self.estimator).items():
+            for name, value in numbers_of(component).items():
                 if f"{owner}.{name}" in out:
                     self._put(program, out, f"{owner}.{name}", np.asarray(value)[None], 1)
         if "variant" in out and self.record.sensor is not None:
@@ -245,9 +299,16 @@ class _Problem:
 
 
 def _prior(problem: _Problem, prior: Gaussian, arrays: dict[str, Array]) -> None:
-    batch = problem.record.batch
-    arrays["x"][:] = tile(_flat(prior.mean, 1, batch))
-    arrays["P"][:] = tile(np.stack([_flat(e, 0, batch) for e in pack(prior.cov)]))
+    """The states as they are before the first step."""
+    record, carried, form = problem.record, prior, _carried(problem.estimator)
+    if begins_otherwise(problem.estimator):
+        with at_once():
+            first = None if record.pose is None else record.pose[0]
+            carried = _begun(problem.estimator, prior, first)
+    lead = {leaf.name: 1 if leaf.length else 0 for leaf in leaves(form)}
+    for name, values in entries(form, carried).items():
+        flat = [_flat(v, lead[name], record.batch) for v in values]
+        arrays[name][:] = tile(np.stack(flat))
 
 
 def _prepared(
@@ -312,7 +373,9 @@ def filtered(
     estimator: Any, record: Record, prior: Gaussian, start: float | None, workers: int = 1
 ) -> History:
     """The history of a record, by the compiled forward program."""
-    keep = ("predicted", "filtered", "innovation")
+    keep: tuple[str, ...] = ("predicted", "filtered", "innovation")
+    if estimator.smoother is not None and "beliefs" in estimator.smoother.needs:
+        keep = (*keep, "beliefs")
     problem, made, arrays = _prepared(estimator, record, prior, start, keep)
     _call(made, arrays, problem.groups, len(record), workers)
     score = problem.lanes_of(arrays["score"])
@@ -331,8 +394,34 @@ def filtered(
         )
 
     return History(
-        record.t, trajectory("predicted"), trajectory("filtered"), innovation, u=record.u
+        record.t,
+        trajectory("predicted"),
+        trajectory("filtered"),
+        innovation,
+        u=record.u,
+        beliefs=_beliefs(problem, arrays, problem.layout(keep)) if "beliefs" in keep else None,
     )
+
+
+def _beliefs(problem: _Problem, arrays: Mapping[str, Array], layout: Layout) -> Beliefs:
+    """What the filter believed at each step."""
+
+    def over_time(when: str) -> tuple[Any, ...]:
+        whole = {}
+        for leaf in leaves(layout.belief):
+            kept = problem.lanes_of(arrays[f"{when}.{leaf.name}"])
+            array = np.zeros((len(kept), *leaf.shape, *kept.shape[2:]))
+            for i, place in enumerate(leaf.places()):
+                array[(slice(None), *place)] = kept[:, i]
+                if leaf.form == "symmetric":
+                    array[(slice(None), *place[::-1])] = kept[:, i]
+            whole[leaf.name] = array
+        steps = len(problem.record)
+        return tuple(
+            built(layout.belief, lambda leaf, k=k: whole[leaf.name][k]) for k in range(steps)
+        )
+
+    return Beliefs(over_time("predicted"), over_time("filtered"))
 
 
 def _begin_backwards(arrays: dict[str, Array], n: int) -> None:

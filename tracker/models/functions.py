@@ -17,7 +17,7 @@ import numpy as np
 from tracker.models.graph import Node
 
 Scalar = Any
-"""A float, an array of lanes, or a graph node."""
+"""A float, an array of lanes, a graph node, or an array of components that are nodes."""
 
 TAU = 2.0 * math.pi
 _ABOVE_MINUS_PI = math.nextafter(-math.pi, 0.0)
@@ -25,12 +25,17 @@ _ABOVE_MINUS_PI = math.nextafter(-math.pi, 0.0)
 
 def _define(op: str, scalar: Callable[..., Any], array: Callable[..., Any]) -> Callable[..., Any]:
     def function(*args: Scalar) -> Scalar:
+        lanes = False
+        for a in args:
+            if isinstance(a, np.ndarray):
+                if a.dtype.hasobject:  # components: one at a time
+                    return np.frompyfunc(function, len(args), 1)(*args)
+                lanes = True
+        if lanes:
+            return array(*args)
         for a in args:
             if isinstance(a, Node):
                 return a.graph.make(op, *args)
-        for a in args:
-            if isinstance(a, np.ndarray):
-                return array(*args)
         return scalar(*args)
 
     return function

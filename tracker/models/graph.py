@@ -8,6 +8,7 @@ language, is not decided here: see `tracker.models.emit`.
 from __future__ import annotations
 
 import numbers
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -45,6 +46,19 @@ NUMPY: Mapping[str, Callable[..., Any]] = {
 _FOLD = {op: _quiet(f) for op, f in NUMPY.items()}
 
 
+def _entrywise(op: str, a: Any, b: Any) -> Any:
+    """A node and an array of components: an array."""
+    entry = operator.truediv if op == "div" else getattr(operator, op)
+    return np.frompyfunc(entry, 2, 1)(*(_alone(v) if isinstance(v, Node) else v for v in (a, b)))
+
+
+def _alone(node: Node) -> Any:
+    """A node as an array without axes, which NumPy may combine with others."""
+    out = np.empty((), dtype=object)
+    out[()] = node
+    return out
+
+
 class Node:
     """One operation, input or constant of a graph; made by `Graph`, never directly."""
 
@@ -60,28 +74,44 @@ class Node:
     __array_ufunc__ = None
     __hash__ = object.__hash__
 
-    def __add__(self, other: Entry) -> Node:
+    def __add__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("add", self, other)
         return self.graph.make("add", self, other)
 
-    def __radd__(self, other: Entry) -> Node:
+    def __radd__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("add", other, self)
         return self.graph.make("add", other, self)
 
-    def __sub__(self, other: Entry) -> Node:
+    def __sub__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("sub", self, other)
         return self.graph.make("sub", self, other)
 
-    def __rsub__(self, other: Entry) -> Node:
+    def __rsub__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("sub", other, self)
         return self.graph.make("sub", other, self)
 
-    def __mul__(self, other: Entry) -> Node:
+    def __mul__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("mul", self, other)
         return self.graph.make("mul", self, other)
 
-    def __rmul__(self, other: Entry) -> Node:
+    def __rmul__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("mul", other, self)
         return self.graph.make("mul", other, self)
 
-    def __truediv__(self, other: Entry) -> Node:
+    def __truediv__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("div", self, other)
         return self.graph.make("div", self, other)
 
-    def __rtruediv__(self, other: Entry) -> Node:
+    def __rtruediv__(self, other: Entry) -> Any:
+        if type(other) is np.ndarray and other.dtype.hasobject:
+            return _entrywise("div", other, self)
         return self.graph.make("div", other, self)
 
     def __neg__(self) -> Node:
