@@ -15,7 +15,9 @@ from tracker.models import absolute, isnan, less, maximum, minimum, sqrt, where
 from tracker.models.graph import plain
 
 ROUNDING = 1e-12
-"""A pivot, of a matrix with unit diagonal, that far below zero may come from rounding alone."""
+"""A pivot that is below zero by so much of the entry it came from may owe that to rounding alone."""
+
+_TINY = 2.0**-1022
 
 
 def semidefinite(P: Any, rounding: float = 1.0) -> Any:
@@ -26,15 +28,15 @@ def semidefinite(P: Any, rounding: float = 1.0) -> Any:
     Shapes:
         P ``(n, n, *batch)``, symmetric; result alike.
     """
-    C, _ = _correlations(P)
-    tolerance = ROUNDING * rounding
+    n, tolerance = len(P), ROUNDING * rounding
+    A = [[P[i, j] for j in range(n)] for i in range(n)]
     lowest: Any = 1.0
-    for j in range(len(C)):
-        pivot = C[j][j]
-        lowest = minimum(pivot, lowest)  # NaN if the pivot is
-        # Below a zero pivot stand zeros; anything else, so divided, sends a later pivot far down.
-        _eliminate(C, j, maximum(pivot, tolerance))
-    good = less(-tolerance, lowest)
+    for j in range(n):
+        near = absolute(P[j, j]) * tolerance
+        lowest = minimum(A[j][j] + near, lowest)  # NaN if the pivot is
+        # Below a pivot of zero stand zeros; anything else, so divided, sends a later one far down.
+        _eliminate(A, j, maximum(maximum(A[j][j], near), _TINY))
+    good = less(-_TINY, lowest)
     return _of_entries(P, lambda i, j: where(good, P[i, j], math.nan))
 
 
@@ -49,8 +51,10 @@ def raised(P: Any, floor: float) -> Any:
     Reference:
         Gill, Murray and Wright (1981), Practical Optimization, section 4.4.2.2.
     """
-    C, variance = _correlations(P)
-    n = len(C)
+    n = len(P)
+    variance = [absolute(P[i, i]) for i in range(n)]
+    scale = [1.0 / sqrt(where(less(0.0, v), v, 1.0)) for v in variance]
+    C = [[P[i, j] * (scale[i] * scale[j]) for j in range(n)] for i in range(n)]
     largest: Any = 0.0
     for i in range(n):
         for j in range(i):
@@ -67,18 +71,11 @@ def raised(P: Any, floor: float) -> Any:
     return _of_entries(P, lambda i, j: P[i, j] + added[i] if i == j else P[i, j])
 
 
-def _correlations(P: Any) -> tuple[list[list[Any]], list[Any]]:
-    """P scaled to a diagonal of ones (of minus one where negative), and the sizes of its diagonal."""
-    n = len(P)
-    variance = [absolute(P[i, i]) for i in range(n)]
-    scale = [1.0 / sqrt(where(less(0.0, v), v, 1.0)) for v in variance]
-    return [[P[i, j] * (scale[i] * scale[j]) for j in range(n)] for i in range(n)], variance
-
-
 def _eliminate(C: list[list[Any]], j: int, pivot: Any) -> None:
     """One step of the Cholesky recursion, on the lower triangle."""
+    inverse = 1.0 / pivot
     for i in range(j + 1, len(C)):
-        ratio = C[i][j] / pivot
+        ratio = C[i][j] * inverse
         for k in range(j + 1, i + 1):
             C[i][k] = C[i][k] - ratio * C[k][j]
 

@@ -25,16 +25,20 @@ import numpy as np
 
 from tracker.algebra import components, lanes
 from tracker.algebra.lanes import at_once
+from tracker.algebra.roots import beside, condition_root, downdate, triangularise
 from tracker.models.functions import wrap
 from tracker.types import Block, Columns
 
 __all__ = [
     "apply",
     "at_once",
+    "beside",
     "condition",
+    "condition_root",
     "congruence",
     "curvature",
     "dense",
+    "downdate",
     "factor",
     "finite",
     "gain",
@@ -44,6 +48,7 @@ __all__ = [
     "spread",
     "symmetric_product",
     "transpose",
+    "triangularise",
     "weighted",
     "weighted_mean",
     "without_missing",
