@@ -87,9 +87,9 @@ class _OtherNoise:
 
 def with_noise(sensor: SensorModel, R: Any) -> SensorModel:
     """The sensor with another covariance of the measurement noise, ``(m, m, *batch)``."""
-    return _OtherNoise(sensor, "R", R)  # type: ignore[return-value]
+    return _OtherNoise(sensor, "R", R)
 
 
 def with_process_noise(motion: MotionModel, Q: Any) -> MotionModel:
     """The motion with another covariance of the process noise, ``(n, n, *batch)``, whatever dt."""
-    return _OtherNoise(motion, "Q", Q)  # type: ignore[return-value]
+    return _OtherNoise(motion, "Q", Q)

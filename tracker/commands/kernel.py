@@ -7,26 +7,26 @@ from __future__ import annotations
 
 from typing import Any
 
-from tracker.compile.fuse import Layout, backward, forward, why_not
+from tracker.compile.fuse import backward, forward, why_not
 from tracker.compile.llvm import emit
 from tracker.compile.program import Program
-from tracker.compile.run import _layout
-from tracker.errors import CapabilityError, TraceError
+from tracker.compile.run import FAILURES, _layout
+from tracker.errors import CapabilityError
 from tracker.estimation import Estimator, estimator
 from tracker.registry import Component, default_registry
 from tracker.types import EMPTY_SPACE
 
 
 def kernel_text(component: Component, form: str) -> str:
-    """The step program of a filter, smoother or scenario, or (form "llvm") the text made from it.
+    """The step program of a filter, smoother, adapter or scenario, or (form "llvm") the text made from it.
 
     Raises:
         CapabilityError: for another kind, or if the step cannot be compiled.
     """
-    if component.kind not in ("filter", "smoother", "scenario"):
+    if component.kind not in ("filter", "smoother", "adapter", "scenario"):
         raise CapabilityError(
             f"{component.kind} {component.name!r} has no step of its own: --kernel is for a "
-            "filter, a smoother or a scenario."
+            "filter, a smoother, an adapter or a scenario."
         )
     made, words = _example(component)
     program = _program(component, made)
@@ -51,6 +51,9 @@ def _example(component: Component) -> tuple[Estimator, str]:
             words = "example: two stations that measure azimuth, constant velocity"
         return estimator(rule, motion=motion, sensor=sensor), words
     sensor = registry.get("scenario", "two_stations").make().sensor
+    if component.kind == "adapter":
+        words = "example: beside ekf1, two stations that measure azimuth, constant velocity"
+        return estimator("ekf1", motion=motion, sensor=sensor, adapter=component.make()), words
     made = estimator("ekf1", motion=motion, sensor=sensor, smoother=component.make())
     return made, "example: after ekf1, two stations that measure azimuth, constant velocity"
 
@@ -60,10 +63,10 @@ def _program(component: Component, made: Estimator) -> Program:
     if not why:
         backwards = component.kind == "smoother"
         inputs = getattr(made.motion, "input_space", EMPTY_SPACE).size
-        layout: Layout = _layout(made, {}, inputs, ("smoothed" if backwards else "filtered",))
         compose: Any = backward if backwards else forward
+        keep = ("smoothed" if backwards else "filtered",)
         try:
-            return compose(layout)  # type: ignore[no-any-return]
-        except (TraceError, TypeError, AttributeError, ValueError, IndexError) as error:
+            return compose(_layout(made, {}, inputs, keep))  # type: ignore[no-any-return]
+        except FAILURES as error:
             why = str(error)
     raise CapabilityError(f"{component.kind} {component.name!r} runs on arrays: {why}")

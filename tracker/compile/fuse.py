@@ -91,7 +91,8 @@ def _key(value: Any) -> Any:
         return tuple(_key(v) for v in value)
     if isinstance(value, Mapping):
         return tuple((k, _key(v)) for k, v in value.items())
-    if attrs.has(type(value)) and type(value).__hash__ is object.__hash__:
+    kind: Any = type(value)
+    if attrs.has(kind) and kind.__hash__ is object.__hash__:  # equal only to itself
         return _fields(value)
     return value
 

@@ -407,21 +407,23 @@ def _beliefs(problem: _Problem, arrays: Mapping[str, Array], layout: Layout) -> 
     """What the filter believed at each step."""
 
     def over_time(when: str) -> tuple[Any, ...]:
-        whole = {}
+        whole: dict[str, Array] = {}
         for leaf in leaves(layout.belief):
             kept = problem.lanes_of(arrays[f"{when}.{leaf.name}"])
             array = np.zeros((len(kept), *leaf.shape, *kept.shape[2:]))
             for i, place in enumerate(leaf.places()):
-                array[(slice(None), *place)] = kept[:, i]
-                if leaf.form == "symmetric":
-                    array[(slice(None), *place[::-1])] = kept[:, i]
+                mirrored = place[::-1] if leaf.form == "symmetric" else place
+                for where in (place, mirrored):
+                    key: tuple[Any, ...] = (slice(None), *where)
+                    array[key] = kept[:, i]
             whole[leaf.name] = array
-        steps = len(problem.record)
-        return tuple(
-            built(layout.belief, lambda leaf, k=k: whole[leaf.name][k]) for k in range(steps)
-        )
+        return tuple(_belief(layout.belief, whole, k) for k in range(len(problem.record)))
 
     return Beliefs(over_time("predicted"), over_time("filtered"))
+
+
+def _belief(form: Form, whole: Mapping[str, Array], step: int) -> Any:
+    return built(form, lambda leaf: whole[leaf.name][step])
 
 
 def _begin_backwards(arrays: dict[str, Array], n: int) -> None:

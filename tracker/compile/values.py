@@ -185,7 +185,7 @@ def built(form: Form, get: Callable[[Leaf], Any]) -> Any:
     parts = [built(part, get) for _, part in form.parts]
     if form.kind is None:
         return tuple(parts)
-    made = object.__new__(form.kind)
+    made: Any = object.__new__(form.kind)
     for (name, _), part in zip(form.parts, parts, strict=True):
         object.__setattr__(made, name, part)
     return made

@@ -138,7 +138,7 @@ def numbers_of(component: Any) -> Mapping[str, Any]:
     offered = getattr(component, "parameters", None)
     if offered is not None:
         return offered  # type: ignore[no-any-return]
-    return {name: getattr(component, name) for name in _marked(type(component))}
+    return {name: getattr(component, name) for name in _marked(component.__class__)}
 
 
 def with_numbers(component: Any, values: Mapping[str, Any]) -> Any:
