@@ -26,6 +26,7 @@ import numpy as np
 from tracker.algebra import components, lanes
 from tracker.algebra.lanes import at_once
 from tracker.algebra.roots import beside, condition_root, downdate, triangularise
+from tracker.algebra.solving import inverse, solve, whiten
 from tracker.models.functions import wrap
 from tracker.types import Block, Columns
 
@@ -42,15 +43,18 @@ __all__ = [
     "factor",
     "finite",
     "gain",
+    "inverse",
     "mahalanobis",
     "product",
     "residual",
+    "solve",
     "spread",
     "symmetric_product",
     "transpose",
     "triangularise",
     "weighted",
     "weighted_mean",
+    "whiten",
     "without_missing",
     "wrap",
 ]
