@@ -7,13 +7,16 @@ _HOME = {
     "ExtendedKalmanFilter": "ekf1",
     "FixedLagSmoother": "fixed_lag",
     "FixedPoint": "fixed_point",
+    "InteractingMultipleModels": "imm",
     "JosephFilter": "joseph",
     "KalmanFilter": "kf",
+    "PosteriorLinearisationFilter": "posterior_linearisation",
     "RauchTungStriebel": "rts",
+    "SquareRootRauchTungStriebel": "square_root_rts",
     "TwoFilterSmoother": "two_filter",
-    "fixed_point": "fixed_point",
     "SigmaPointFilter": "sigma_point",
     "SigmaPointRauchTungStriebel": "sigma_point_rts",
+    "SquareRootSigmaPointFilter": "square_root_sigma_point",
     "SecondOrderExtendedKalmanFilter": "ekf2",
 }
 __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names

@@ -149,12 +149,43 @@ def tracker_components(registry: Registry) -> None:
     )
     registry.add(
         Component(
+            kind="filter",
+            name="ukf_square_root",
+            target="tracker_kalman.square_root_sigma_point:SquareRootSigmaPointFilter",
+            summary="Sigma-point Kalman filter on square roots; any set of points.",
+            paper="Van der Merwe and Wan 2001",
+            tags=("gaussian", "nonlinear", "sigma points", "square root", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="iplf",
+            target="tracker_kalman.posterior_linearisation:PosteriorLinearisationFilter",
+            summary="Iterated posterior linearisation filter; any set of points.",
+            paper="García-Fernández, Svensson, Morelande and Särkkä 2015",
+            equations=("algorithm 1",),
+            tags=("gaussian", "iterated", "nonlinear", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
             kind="smoother",
             name="sigma_point_rts",
             target="tracker_kalman.sigma_point_rts:SigmaPointRauchTungStriebel",
             summary="Rauch-Tung-Striebel smoother with gains from sigma points.",
             paper="Särkkä 2008",
             tags=("gaussian", "fixed-interval", "sigma points", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="smoother",
+            name="rts_square_root",
+            target="tracker_kalman.square_root_rts:SquareRootRauchTungStriebel",
+            summary="Rauch-Tung-Striebel in square-root form: covariances are never subtracted.",
+            paper="Park and Kailath, Square-root RTS smoothing algorithms, 1995",
+            tags=("gaussian", "fixed-interval", "square-root"),
         )
     )
     registry.add(
@@ -178,5 +209,16 @@ def tracker_components(registry: Registry) -> None:
             paper="Särkkä, Bayesian Filtering and Smoothing, 2013",
             equations=("section 10.5",),
             tags=("gaussian", "fixed-lag"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="imm",
+            target="tracker_kalman.imm:InteractingMultipleModels",
+            summary="Interacting multiple models: one filter per mode of a switching motion, mixed.",
+            paper="Blom and Bar-Shalom 1988",
+            equations=("Bar-Shalom, Li and Kirubarajan 2001, 11.6.6-6 to 11.6.6-15",),
+            tags=("manoeuvre", "mixture", "nonlinear", "traced"),
         )
     )

@@ -73,14 +73,14 @@ class Transformed:
         return product(self.root, transpose(weighted_mean(self.deviations, weights)))  # type: ignore[no-any-return]
 
 
-def rule_for(points: PointSet, n: int, state: Any) -> SigmaPoints:
+def rule_for(points: PointSet, n: int, mean: Any) -> SigmaPoints:
     """Points in n dimensions, if they are not too many for a state of graph nodes.
 
     Raises:
         TraceError: if they are.
     """
     rule = points.points(n)
-    if len(rule) > UNROLLED and state.mean.dtype.hasobject:
+    if len(rule) > UNROLLED and mean.dtype.hasobject:
         raise TraceError(
             f"{points} has {len(rule)} points in {n} dimensions, more than the {UNROLLED} that a "
             "compiled step holds"
@@ -90,18 +90,22 @@ def rule_for(points: PointSet, n: int, state: Any) -> SigmaPoints:
 
 def through_motion(
     points: PointSet,
-    state: Gaussian,
+    mean: Any,
+    root: Any,
     motion: MotionModel,
     dt: Any,
     u: Any,
     t: Any,
-    augmented: bool,
+    augmented: bool = False,
     more: int = 0,
 ) -> Transformed:
-    """Points of a state ``dt`` seconds later; ``more`` dimensions of the set are left to others."""
-    mean, Q = state.mean, motion.Q(state.mean, dt)
-    n, root = len(mean), factor(state.cov)
-    rule = rule_for(points, (2 * n if augmented else n) + more, state)
+    """Points of a state ``dt`` seconds later; ``more`` dimensions of the set are left to others.
+
+    Shapes:
+        mean ``(n, *batch)``; root ``(n, n, *batch)``.
+    """
+    n, Q = len(mean), motion.Q(mean, dt)
+    rule = rule_for(points, (2 * n if augmented else n) + more, mean)
     centre = motion.f(mean, dt, u, t)
     values = motion.f(spread(mean, root, rule.places[:n]), dt, u, t)
     if augmented:
@@ -113,12 +117,20 @@ def through_motion(
 
 
 def through_sensor(
-    points: PointSet, state: Gaussian, sensor: SensorModel, pose: Any, augmented: bool
+    points: PointSet,
+    mean: Any,
+    root: Any,
+    sensor: SensorModel,
+    pose: Any,
+    augmented: bool = False,
 ) -> Transformed:
-    """Points of a state as a sensor sees them, in wrapped differences: they may straddle a cut."""
-    mean, R = state.mean, sensor.R(state.mean, pose)
-    n, m, root = len(mean), sensor.space.size, factor(state.cov)
-    rule = rule_for(points, n + m if augmented else n, state)
+    """Points of a state as a sensor sees them, in wrapped differences: they may straddle a cut.
+
+    Shapes:
+        mean ``(n, *batch)``; root ``(n, n, *batch)``.
+    """
+    n, m, R = len(mean), sensor.space.size, sensor.R(mean, pose)
+    rule = rule_for(points, n + m if augmented else n, mean)
     centre = sensor.h(mean, pose)
     values = sensor.h(spread(mean, root, rule.places[:n]), pose)
     if augmented:
@@ -219,7 +231,10 @@ class SigmaPointFilter:
         if self.redraw and getattr(motion, "linear", False):
             return predicted(state, motion, dt, u, t)
         more = 0 if self.redraw else self._measured
-        ahead = through_motion(self.points, state, motion, dt, u, t, self.augmented, more)
+        root = factor(state.cov)
+        ahead = through_motion(
+            self.points, state.mean, root, motion, dt, u, t, self.augmented, more
+        )
         mean, cov = ahead.mean, ahead.cov
         if ahead.rule.negative:
             cov = sound(cov, ahead.rule, self.floor)
@@ -234,7 +249,8 @@ class SigmaPointFilter:
             return self._of_propagated(state, sensor, pose)
         if getattr(sensor, "linear", False):
             return projected(state, sensor, pose)
-        seen = through_sensor(self.points, state, sensor, pose, self.augmented)
+        root = factor(state.cov)
+        seen = through_sensor(self.points, state.mean, root, sensor, pose, self.augmented)
         return Projection(seen.mean, self._raised(seen.cov, seen.rule), seen.cross)
 
     def update(
@@ -248,13 +264,7 @@ class SigmaPointFilter:
         """Condition on ``z``; components that are NaN were not measured."""
         seen = self.project(state, sensor, pose) if projection is None else projection
         after, innovation = conditioned(state.moments(), sensor, z, seen)
-        rule = self._rule(state, sensor)
-        if rule is None or not rule.negative:
-            return after, innovation
-        cov = sound(after.cov, rule, self.floor)
-        mean, nis, loglik = unless_refused(cov, after.mean, innovation.nis, innovation.loglik)
-        told = attrs.evolve(innovation, nis=nis, loglik=loglik, ok=finite(nis))
-        return Gaussian.trusted(mean, cov), told
+        return checked(after, innovation, self._rule(state, sensor), self.floor)
 
     # ---------------------------------------------------------------------------- inside
     @property
@@ -300,6 +310,18 @@ class SigmaPointFilter:
 def sound(cov: Any, rule: SigmaPoints, floor: float | None) -> Any:
     """A covariance that negative weights may have made indefinite: raised, or NaN where it is."""
     return semidefinite(cov, rule.rounding) if floor is None else raised(cov, floor)
+
+
+def checked(
+    after: Gaussian, innovation: Innovation, rule: SigmaPoints | None, floor: float | None
+) -> tuple[Gaussian, Innovation]:
+    """An update whose covariance is sound, or NaN and not ok; without a rule it is."""
+    if rule is None or not rule.negative:
+        return after, innovation
+    cov = sound(after.cov, rule, floor)
+    mean, nis, loglik = unless_refused(cov, after.mean, innovation.nis, innovation.loglik)
+    told = attrs.evolve(innovation, nis=nis, loglik=loglik, ok=finite(nis))
+    return Gaussian.trusted(mean, cov), told
 
 
 def check_floor(floor: float | None) -> None:

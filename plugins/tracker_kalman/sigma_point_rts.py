@@ -7,7 +7,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.algebra import apply, congruence, gain, residual
+from tracker.algebra import apply, congruence, factor, gain, residual
 from tracker.protocols import MotionModel
 from tracker.types import Gaussian, History, Trajectory
 from tracker_kalman.rts import RauchTungStriebel
@@ -47,7 +47,8 @@ class SigmaPointRauchTungStriebel:
         """``G``, the regression of the state at k on that at k + 1, from moments as in `step`."""
         if getattr(motion, "linear", False):
             return RauchTungStriebel().gain(filtered, predicted, motion, dt, u, t)
-        ahead = through_motion(self.points, filtered, motion, dt, u, t, self.augmented)
+        mean, root = filtered.mean, factor(filtered.cov)
+        ahead = through_motion(self.points, mean, root, motion, dt, u, t, self.augmented)
         return gain(ahead.cross, predicted.cov)
 
     def step(
