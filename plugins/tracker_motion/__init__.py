@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from tracker_motion.constant_velocity import constant_velocity
     from tracker_motion.coordinated_turn import coordinated_turn
     from tracker_motion.linear import linear
+    from tracker_motion.switching import switching
 
 __all__ = [
     "acceleration_input",
@@ -18,6 +19,7 @@ __all__ = [
     "constant_velocity",
     "coordinated_turn",
     "linear",
+    "switching",
 ]
 
 

@@ -70,4 +70,16 @@ _COMPONENTS = (
             "linear(space=Space.of('x [m]', 'vx [m/s]'), F=[[0, 1], [0, 0]], L=[[0], [1]], Qc=[[0.1]])",
         ),
     ),
+    Component(
+        kind="motion",
+        name="switching",
+        target="tracker_motion.switching:switching",
+        summary="several motions, of which one holds at a time and switches to others at random",
+        paper="Blom and Bar-Shalom 1988",
+        equations=("1-3",),
+        tags=("manoeuvre", "modes", "1-D", "2-D", "3-D"),
+        examples=(
+            "switching([constant_velocity(density=0.1), constant_velocity(density=5.0)], [[0.9, 0.1], [0.2, 0.8]])",
+        ),
+    ),
 )

@@ -25,6 +25,7 @@ import numpy as np
 
 from tracker.algebra import components, lanes
 from tracker.algebra.lanes import at_once
+from tracker.algebra.mixtures import mix
 from tracker.algebra.roots import beside, condition_root, downdate, triangularise
 from tracker.algebra.solving import inverse, solve, whiten
 from tracker.models.functions import wrap
@@ -45,6 +46,7 @@ __all__ = [
     "gain",
     "inverse",
     "mahalanobis",
+    "mix",
     "product",
     "residual",
     "solve",
