@@ -8,6 +8,9 @@ _HOME = {
     "FixedLagSmoother": "fixed_lag",
     "FixedPoint": "fixed_point",
     "InteractingMultipleModels": "imm",
+    "InformationFilter": "information",
+    "InformationState": "information",
+    "IteratedExtendedKalmanFilter": "iterated",
     "JosephFilter": "joseph",
     "KalmanFilter": "kf",
     "PosteriorLinearisationFilter": "posterior_linearisation",
@@ -18,6 +21,7 @@ _HOME = {
     "SigmaPointRauchTungStriebel": "sigma_point_rts",
     "SquareRootSigmaPointFilter": "square_root_sigma_point",
     "SecondOrderExtendedKalmanFilter": "ekf2",
+    "SquareRootFilter": "square_root",
 }
 __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names
 

@@ -43,6 +43,39 @@ def tracker_components(registry: Registry) -> None:
     registry.add(
         Component(
             kind="filter",
+            name="iekf",
+            target="tracker_kalman.iterated:IteratedExtendedKalmanFilter",
+            summary="Iterated extended Kalman filter, Gauss-Newton steps of fixed number.",
+            paper="Bell and Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993",
+            equations=("6-8",),
+            tags=("gaussian", "nonlinear", "iterated", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="information",
+            target="tracker_kalman.information:InformationFilter",
+            summary="Information filter on linear and linearised models; may start from nothing.",
+            paper="Maybeck, Stochastic Models, Estimation and Control 1, 1979",
+            equations=("section 5.7",),
+            tags=("gaussian", "nonlinear", "information", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="square_root",
+            target="tracker_kalman.square_root:SquareRootFilter",
+            summary="First-order extended Kalman filter that carries a root of the covariance.",
+            paper="Kaminski, Bryson and Schmidt, Discrete square root filtering, 1971",
+            equations=("section II",),
+            tags=("gaussian", "nonlinear", "square-root", "traced"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
             name="ekf1_joseph",
             target="tracker_kalman.joseph:JosephFilter",
             summary="First-order extended Kalman filter, Joseph form of the covariance.",
