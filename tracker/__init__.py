@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tracker.geodesy import LocalTangentPlane as LocalTangentPlane
     from tracker.hookspecs import hookimpl as hookimpl
     from tracker.io.detections import read_detection_log as read_detection_log
+    from tracker.late import FixedLag as FixedLag
     from tracker.montecarlo import Campaign as Campaign
     from tracker.montecarlo import load_campaign as load_campaign
     from tracker.montecarlo import monte_carlo as monte_carlo
@@ -61,6 +62,7 @@ _HOME = {
     "Columns": "types",
     "Component": "registry",
     "Estimator": "estimation",
+    "FixedLag": "late",
     "Gaussian": "types",
     "History": "types",
     "Innovation": "types",

@@ -26,6 +26,19 @@ class RauchTungStriebel:
 
     needs = ("jacobian",)
 
+    def gain(
+        self,
+        filtered: Gaussian,
+        predicted: Gaussian,
+        motion: MotionModel,
+        dt: Any,
+        u: Any = None,
+        t: Any = None,
+    ) -> Any:
+        """``G``, the regression of the state at k on that at k + 1, from moments as in `step`."""
+        _, F = linearise(motion, filtered.mean, dt, u, t)
+        return gain(transpose(product(F, filtered.cov)), predicted.cov)
+
     def step(
         self,
         filtered: Gaussian,
@@ -37,8 +50,7 @@ class RauchTungStriebel:
         t: Any = None,
     ) -> Gaussian:
         """Smoothed moments at k, from those filtered at k and predicted and smoothed at k + 1."""
-        _, F = linearise(motion, filtered.mean, dt, u, t)
-        G = gain(transpose(product(F, filtered.cov)), predicted.cov)
+        G = self.gain(filtered, predicted, motion, dt, u, t)
         ahead = residual(smoothed.mean, predicted.mean, _circular(motion))
         return Gaussian.trusted(
             filtered.mean + apply(G, ahead),
