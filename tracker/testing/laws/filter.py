@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import attrs
@@ -37,13 +38,14 @@ def begun(rule: Any, prior: Gaussian) -> Any:
     """The belief that a filter makes of a Gaussian; a lane draws the same in any company."""
     if not hasattr(rule, "begin"):
         return prior
+    known = {"motion": MOTION} if "motion" in inspect.signature(rule.begin).parameters else {}
     if not getattr(rule, "random", False):
-        return rule.begin(prior)
+        return rule.begin(prior, **known)
     streams = [
         np.random.default_rng(np.ascontiguousarray(lane).view(np.uint64).tolist())
         for lane in prior.mean.reshape(len(prior.mean), -1).T
     ]
-    return rule.begin(prior, rng=streams if prior.batch else streams[0])
+    return rule.begin(prior, rng=streams if prior.batch else streams[0], **known)
 
 
 def _draws(rule: Any) -> str:

@@ -1,0 +1,145 @@
+"""The auxiliary particle filter (Pitt and Shephard 1999): parents are chosen in sight of z."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import attrs
+import numpy as np
+
+from tracker.protocols import MotionModel, SensorModel
+from tracker.types import Array, Gaussian, Innovation, Projection, brief
+from tracker_particle import draws
+from tracker_particle.belief import Particles, spread
+from tracker_particle.likelihood import projected, seen, surprise, weighed
+from tracker_particle.parameters import a_count
+from tracker_particle.propagation import chosen, log_sum, noise, picked, root, wide
+from tracker_particle.resampling import SYSTEMATIC, Scheme, scheme
+from tracker_particle.start import begun
+
+
+@attrs.frozen(eq=False)
+class Offspring:
+    """Predicted particles together with what they were made of, so that parents can still be chosen.
+
+    Shapes:
+        particles, one child of each parent; centres ``(n, N, *batch)``, where the parents go without
+        noise; spread ``(n, k, 1 or N, *batch)``, a root of the noise; noise ``(k, N, *batch)``,
+        standard normals: child = centre + spread noise.
+    """
+
+    particles: Particles
+    centres: Array = attrs.field(repr=brief)
+    spread: Array = attrs.field(repr=brief)
+    noise: Array = attrs.field(repr=brief)
+
+    def moments(self) -> Gaussian:
+        """Mean and covariance of the children."""
+        return self.particles.moments()
+
+
+@attrs.frozen
+class AuxiliaryFilter:
+    """Chooses parents by how likely the measurement is where they go without noise.
+
+    The first stage resamples parents with the likelihood at ``f(x)``, the second weighs their
+    children by what that likelihood got wrong. It resamples in every update, and is at its best
+    where the process noise is small beside what a measurement tells: at its worst where it is large,
+    for then ``f(x)`` says little about a child. ``loglik`` is the product of the two stages' means.
+
+    Reference: Pitt and Shephard 1999, Filtering via simulation: auxiliary particle filters, JASA
+        94(446), section 3; its estimate of the likelihood: Pitt 2002.
+    Laws: those of kind "filter" for what is random; on linear problems with Gaussian noise it
+        converges to the Kalman filter as 1/sqrt(N).
+    """
+
+    particles: Annotated[int, "1"] = attrs.field(default=1000, validator=a_count)
+    resampling: Scheme = attrs.field(default=SYSTEMATIC, converter=scheme)
+
+    needs = ()
+    random = True
+    tags = ("opaque",)
+    why_opaque = "it draws random numbers and resamples"
+
+    def begin(
+        self,
+        prior: Gaussian | Particles | Offspring,
+        *,
+        rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
+        motion: MotionModel | None = None,
+    ) -> Particles | Offspring:
+        """Particles drawn from the prior; ``rng`` is one generator, or one for each lane."""
+        if isinstance(prior, Offspring):
+            return prior
+        return begun(prior, self.particles, rng, motion)
+
+    def predict(
+        self,
+        state: Particles | Offspring,
+        motion: MotionModel,
+        dt: Any,
+        u: Any = None,
+        t: Any = None,
+    ) -> Offspring:
+        """One child of each particle, ``dt`` seconds later."""
+        parents = _children(state)
+        points = parents.points
+        G = root(motion.Q(points, dt))
+        centres = motion.f(points, dt, wide(u), t)
+        drawn = noise(parents, points.shape[1], G.shape[1])
+        children = attrs.evolve(
+            parents,
+            points=centres + spread(G, drawn),
+            step=parents.step + 1,
+            circular=tuple(motion.space.circular),
+        )
+        batch = points.shape[2:]
+        whole = np.broadcast_to(G, (*G.shape[:3], *batch))  # so that lanes can be told apart
+        return Offspring(children, centres, whole, drawn)
+
+    def project(
+        self, state: Particles | Offspring, sensor: SensorModel, pose: Any = None
+    ) -> Projection:
+        """The moments of what the particles would measure."""
+        cloud = _children(state)
+        return projected(cloud.points, cloud.weights, cloud.circular, sensor, pose)
+
+    def update(
+        self,
+        state: Particles | Offspring,
+        sensor: SensorModel,
+        z: Any,
+        pose: Any = None,
+        projection: Projection | None = None,
+    ) -> tuple[Particles, Innovation]:
+        """Choose parents in sight of ``z``, then weigh their children."""
+        if isinstance(state, Particles):  # nobody's children: there are no parents to choose
+            return weighed(state, sensor, z, pose, projection)
+        before = state.particles
+        first = seen(state.centres, sensor, z, pose).log_likelihood
+        stage, expected = log_sum(before.log_weights + first)
+        measured = ~np.isnan(z).all(axis=0)
+        ancestors, _ = chosen(before, np.exp(stage), self.resampling, draws.FIRST_STAGE, measured)
+        G = picked(state.spread, ancestors)
+        points = picked(state.centres, ancestors) + spread(G, state.noise)
+        what = seen(points, sensor, z, pose)
+        count = len(stage)
+        second = what.log_likelihood - np.take_along_axis(first, ancestors, axis=0)
+        weights, gained = log_sum(second - np.log(count))
+        weights = np.where(measured, weights, before.log_weights)
+        dead = 0.0 * before.points.sum(axis=(0, 1))
+        loglik = np.where(measured, expected + gained, dead)
+        after = attrs.evolve(
+            before,
+            points=np.where(measured, points, before.points),
+            log_weights=weights,
+            step=before.step + 1,
+            circular=tuple(sensor.state.circular),
+        )
+        told = seen(before.points, sensor, z, pose)
+        return after, surprise(before.weights, told, projection, sensor, z, loglik)
+
+
+def _children(state: Particles | Offspring) -> Particles:
+    return state.particles if isinstance(state, Offspring) else state

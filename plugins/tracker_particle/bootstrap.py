@@ -1,0 +1,76 @@
+"""The bootstrap particle filter (Gordon, Salmond and Smith 1993): particles move as the model says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import attrs
+import numpy as np
+
+from tracker.protocols import MotionModel, SensorModel
+from tracker.types import Gaussian, Innovation, Projection
+from tracker_particle.belief import Particles
+from tracker_particle.likelihood import projected, weighed
+from tracker_particle.parameters import a_count, a_share
+from tracker_particle.propagation import propagated, resampled
+from tracker_particle.resampling import SYSTEMATIC, Scheme, scheme
+from tracker_particle.start import begun
+
+
+@attrs.frozen
+class BootstrapFilter:
+    """Particles drawn through the motion and weighed by the likelihood of what was measured.
+
+    Before a prediction the lanes whose effective sample size has fallen below ``threshold`` times
+    the number of particles are resampled. Motion and sensor may be anything: noise need not reach
+    all components (a singular Q is a source less), R may differ from particle to particle, and no
+    derivatives are asked for. ``nis`` is that of a Gaussian with the particles' moments; ``loglik``
+    is the particles' own unbiased estimate of the likelihood.
+
+    Reference: Gordon, Salmond and Smith 1993, Novel approach to nonlinear/non-Gaussian Bayesian
+        state estimation, IEE Proceedings F 140(2); Arulampalam, Maskell, Gordon and Clapp 2002,
+        A tutorial on particle filters, algorithm 4.
+    Laws: those of kind "filter" for what is random; on linear problems with Gaussian noise it
+        converges to the Kalman filter as 1/sqrt(N).
+    """
+
+    particles: Annotated[int, "1"] = attrs.field(default=1000, validator=a_count)
+    threshold: Annotated[float, "1"] = attrs.field(default=0.5, validator=a_share)
+    resampling: Scheme = attrs.field(default=SYSTEMATIC, converter=scheme)
+
+    needs = ()
+    random = True
+    tags = ("opaque",)
+    why_opaque = "it draws random numbers and resamples"
+
+    def begin(
+        self,
+        prior: Gaussian | Particles,
+        *,
+        rng: np.random.Generator | Sequence[np.random.Generator] | None = None,
+        motion: MotionModel | None = None,
+    ) -> Particles:
+        """Particles drawn from the prior; ``rng`` is one generator, or one for each lane."""
+        return begun(prior, self.particles, rng, motion)
+
+    def predict(
+        self, state: Particles, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
+    ) -> Particles:
+        """Each particle ``dt`` seconds later, after resampling where it is due."""
+        return propagated(resampled(state, self.resampling, self.threshold), motion, dt, u, t)
+
+    def project(self, state: Particles, sensor: SensorModel, pose: Any = None) -> Projection:
+        """The moments of what the particles would measure."""
+        return projected(state.points, state.weights, state.circular, sensor, pose)
+
+    def update(
+        self,
+        state: Particles,
+        sensor: SensorModel,
+        z: Any,
+        pose: Any = None,
+        projection: Projection | None = None,
+    ) -> tuple[Particles, Innovation]:
+        """Weigh the particles; components that are NaN were not measured."""
+        return weighed(state, sensor, z, pose, projection)
