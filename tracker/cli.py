@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
 # Commands in other modules: name -> ("package.module:command", the line shown by --help).
 LAZY: dict[str, tuple[str, str]] = {
+    "compare": (
+        "tracker.commands.compare:compare",
+        "Compare filters on a scenario: accuracy, consistency and cost side by side.",
+    ),
     "reproduce": (
         "tracker.commands.reproduce:reproduce",
         "Remake the tables and figures of a paper, with a verdict for each number.",

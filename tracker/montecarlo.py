@@ -6,6 +6,7 @@ sums are taken over fixed blocks of runs, so the numbers do not depend on chunks
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,7 +22,7 @@ from tracker.estimation import Estimator
 from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
 from tracker.metrics.errors import error, squared_position_error
 from tracker.recursion import is_random
-from tracker.simulation import Scenario, stream
+from tracker.simulation import Scenario, Simulation, stream
 from tracker.types import Array, History, brief
 
 BLOCK = 32
@@ -112,6 +113,8 @@ class Campaign:
     """The result of `monte_carlo`.
 
     ``scores[estimator]["filter" or "smoother"]`` holds the numbers; `summary` puts them into words.
+    ``seconds[estimator]`` is the CPU time of estimating and scoring, simulation left out; it is no part
+    of what a seed makes the same.
     """
 
     scenario: str
@@ -120,6 +123,7 @@ class Campaign:
     t: Array = attrs.field(repr=brief)
     scores: Mapping[str, Mapping[str, Scores]] = attrs.field(repr=_keys)
     sources: Mapping[str, str] = attrs.field(factory=dict, repr=False)
+    seconds: Mapping[str, float] = attrs.field(factory=dict, repr=False)
 
     # -------------------------------------------------------------------------- in words
     def rows(self) -> list[dict[str, Any]]:
@@ -358,7 +362,7 @@ def monte_carlo(
     size = size // BLOCK * BLOCK if chunk is None else -(-size // BLOCK) * BLOCK
     pieces = [range(a, min(a + size, runs)) for a in range(0, runs, size)]
 
-    def work(piece: range) -> dict[tuple[str, str], _Reduced]:
+    def work(piece: range) -> tuple[dict[tuple[str, str], _Reduced], dict[str, float]]:
         return _chunk(named, scenario, piece, seed, condition)
 
     done = _mapped(work, pieces, workers, progress)
@@ -366,11 +370,17 @@ def monte_carlo(
     for name, built in named.items():
         stages = ("filter",) if built.smoother is None else ("filter", "smoother")
         scores[name] = {
-            stage: _joined([part[name, stage] for part in done], scenario.motion.space.size)
+            stage: _joined([part[name, stage] for part, _ in done], scenario.motion.space.size)
             for stage in stages
         }
     return Campaign(
-        scenario.name, seed, runs, scenario.t, scores, {k: v.cite() for k, v in named.items()}
+        scenario.name,
+        seed,
+        runs,
+        scenario.t,
+        scores,
+        {k: v.cite() for k, v in named.items()},
+        {k: sum(seconds[k] for _, seconds in done) for k in named},
     )
 
 
@@ -425,32 +435,35 @@ class _Reduced:
 
 def _chunk(
     estimators: Mapping[str, Estimator], scenario: Scenario, runs: range, seed: int, condition: int
-) -> dict[tuple[str, str], _Reduced]:
+) -> tuple[dict[tuple[str, str], _Reduced], dict[str, float]]:
+    """Scores by estimator and stage, and CPU seconds by estimator."""
     simulation = scenario.simulate(seed, runs, condition=condition)
-    out = {}
+    out, seconds = {}, {}
     for name, built in estimators.items():
+        begun = time.thread_time()
         estimation.fitting(built, simulation.record, simulation.prior, simulation.start)
-        if not compiled.reason(built) and (
-            built.smoother is None or not compiled.why_not_backwards(built)
-        ):
-            sums = compiled.scored(
-                built, simulation.record, simulation.prior, simulation.start, simulation.truth
-            )
-            for stage, found in sums.items():
-                out[name, stage] = _from_sums(found, len(scenario.t))
-            continue
-        draws = is_random(built.filter)
-        history = estimation.filter(
-            built,
-            simulation.record,
-            simulation.prior,
-            start=simulation.start,
-            rng=[stream(seed, run, "filter", condition) for run in runs] if draws else None,
-        )
-        out[name, "filter"] = _reduced(history, simulation.truth, scenario, smooth=False)
-        if built.smoother is not None:
-            history = estimation.smoothed(built, history)
-            out[name, "smoother"] = _reduced(history, simulation.truth, scenario, smooth=True)
+        stages = _scored(built, scenario, simulation, seed, condition)
+        out |= {(name, stage): reduced for stage, reduced in stages.items()}
+        seconds[name] = time.thread_time() - begun
+    return out, seconds
+
+
+def _scored(
+    estimator: Estimator, scenario: Scenario, simulation: Simulation, seed: int, condition: int
+) -> dict[str, _Reduced]:
+    record, prior, start = simulation.record, simulation.prior, simulation.start
+    smooth = estimator.smoother is not None
+    if not compiled.reason(estimator) and not (smooth and compiled.why_not_backwards(estimator)):
+        sums = compiled.scored(estimator, record, prior, start, simulation.truth)
+        return {stage: _from_sums(found, len(scenario.t)) for stage, found in sums.items()}
+    rng = None
+    if is_random(estimator.filter):
+        rng = [stream(seed, run, "filter", condition) for run in simulation.runs]
+    history = estimation.filter(estimator, record, prior, start=start, rng=rng)
+    out = {"filter": _reduced(history, simulation.truth, scenario, smooth=False)}
+    if smooth:
+        history = estimation.smoothed(estimator, history)
+        out["smoother"] = _reduced(history, simulation.truth, scenario, smooth=True)
     return out
 
 

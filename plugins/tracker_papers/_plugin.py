@@ -40,3 +40,60 @@ def tracker_components(registry: Registry) -> None:
             tags=("passive", "bearings", "2-D", "observability"),
         )
     )
+    registry.add(
+        Component(
+            kind="scenario",
+            name="gulf_to_oman",
+            target="tracker_papers.gulf_to_oman:gulf_to_oman",
+            summary="A ship from the Persian Gulf to the Sea of Oman, its azimuth from two stations.",
+            paper="0",
+            equations=("26-31", "34", "35", "figures 2, 4-6"),
+            tags=("passive", "bearings", "2-D", "manoeuvre"),
+            examples=("gulf_to_oman('B')",),
+        )
+    )
+    registry.add(
+        Component(
+            kind="scenario",
+            name="turning_target",
+            target="tracker_papers.turning_target:turning_target",
+            summary="An aircraft that turns at an unknown rate; range and azimuth.",
+            paper="Arasaratnam and Haykin 2009",
+            equations=("section VIII.A",),
+            tags=("nonlinear", "2-D", "manoeuvre"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="scenario",
+            name="reentry",
+            target="tracker_papers.reentry:reentry",
+            summary="A body that enters the atmosphere; range and azimuth.",
+            paper="Julier and Uhlmann 2004",
+            equations=("section VI",),
+            tags=("nonlinear", "2-D"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="scenario",
+            name="growth",
+            target="tracker_papers.growth:growth",
+            summary="The univariate growth model: two modes, of which a Gaussian sees one.",
+            paper="Gordon, Salmond and Smith 1993",
+            equations=("section 5.1",),
+            tags=("nonlinear", "1-D"),
+        )
+    )
+    registry.add(
+        Component(
+            kind="reproduction",
+            name="paper_0",
+            target="tracker_papers.paper0.study:PaperZero",
+            summary="EKF1, EKF2 and UKF with RTS smoothing: Table 1, figures 1-11, six claims, errata.",
+            paper="0",
+            equations=("Table 1", "figures 1-11"),
+            tags=("paper",),
+            requires={"matplotlib": "tracker-lab[plot]"},
+        )
+    )
