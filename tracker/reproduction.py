@@ -243,9 +243,20 @@ class Claim:
         """See `judged`."""
         return judged(self.votes.values())
 
+    @property
+    def tally(self) -> str:
+        """In words, under which condition the rule holds.
+
+        Example:
+        >>> Claim("1", "All is well.", "x < 1", {"A": True, "B": None}, "x = 0.9").tally
+        'A: holds; B: cannot be told.'
+        """
+        said = {True: "holds", False: "does not hold", None: "cannot be told"}
+        return "; ".join(f"{name}: {said[vote]}" for name, vote in self.votes.items()) + "."
+
 
 def judged(votes: Any) -> Judgement:
-    """ "confirmed" if every vote is True, "refuted" if every vote is False, else "undecided".
+    """Return "confirmed" if every vote is True, "refuted" if every one is False, else "undecided".
 
     Example:
     >>> judged([True, True]), judged([True, None]), judged([False]), judged([])
@@ -255,6 +266,19 @@ def judged(votes: Any) -> Judgement:
     if cast and all(vote is True for vote in cast):
         return "confirmed"
     return "refuted" if cast and all(vote is False for vote in cast) else "undecided"
+
+
+def all_of(votes: Any) -> bool | None:
+    """Whether every part of a claim holds: False if one does not, None if one cannot be told.
+
+    Example:
+    >>> all_of([True, True]), all_of([True, None]), all_of([None, False])
+    (True, None, False)
+    """
+    cast = list(votes)
+    if any(vote is False for vote in cast):
+        return False
+    return True if cast and all(vote is True for vote in cast) else None
 
 
 def within(interval: Interval, low: float, high: float) -> bool | None:
@@ -341,7 +365,7 @@ class Reproduction:
                     "id": one.id,
                     "text": one.text,
                     "verdict": one.verdict,
-                    "evidence": f"Rule: {one.rule} Found: {one.evidence}",
+                    "evidence": f"Rule: {one.rule} Found: {one.tally} {one.evidence}",
                 }
                 for one in self.claims
             ],

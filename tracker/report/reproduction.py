@@ -70,7 +70,7 @@ def write_up(
                 html.table(
                     ("", "claim", "verdict", "rule", "evidence"),
                     [
-                        (one.id, one.text, one.verdict, one.rule, one.evidence)
+                        (one.id, one.text, one.verdict, one.rule, f"{one.tally} {one.evidence}")
                         for one in reproduction.claims
                     ],
                 )

@@ -1,0 +1,1 @@
+"""Paper 0 reproduced: two stations measure the azimuth of a ship; EKF1, EKF2 and UKF, each with RTS."""
