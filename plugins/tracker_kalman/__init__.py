@@ -8,6 +8,7 @@ _HOME = {
     "FixedLagSmoother": "fixed_lag",
     "FixedPoint": "fixed_point",
     "InteractingMultipleModels": "imm",
+    "HuberUpdate": "huber",
     "InformationFilter": "information",
     "InformationState": "information",
     "IteratedExtendedKalmanFilter": "iterated",
@@ -20,8 +21,10 @@ _HOME = {
     "SigmaPointFilter": "sigma_point",
     "SigmaPointRauchTungStriebel": "sigma_point_rts",
     "SquareRootSigmaPointFilter": "square_root_sigma_point",
+    "SchmidtFilter": "schmidt",
     "SecondOrderExtendedKalmanFilter": "ekf2",
     "SquareRootFilter": "square_root",
+    "StudentTUpdate": "student_t",
 }
 __all__ = sorted(_HOME)  # noqa: PLE0605 - kept beside what it names
 

@@ -47,7 +47,6 @@ def tracker_components(registry: Registry) -> None:
             target="tracker_kalman.iterated:IteratedExtendedKalmanFilter",
             summary="Iterated extended Kalman filter, Gauss-Newton steps of fixed number.",
             paper="Bell and Cathey, The iterated Kalman filter update as a Gauss-Newton method, 1993",
-            equations=("6-8",),
             tags=("gaussian", "nonlinear", "iterated", "traced"),
         )
     )
@@ -65,11 +64,58 @@ def tracker_components(registry: Registry) -> None:
     registry.add(
         Component(
             kind="filter",
+            name="schmidt",
+            target="tracker_kalman.schmidt:SchmidtFilter",
+            summary="Schmidt-Kalman filter: biases that are considered, not estimated, in any Gaussian filter.",
+            paper="Schmidt, Application of state-space methods to navigation problems, 1966",
+            equations=("Simon 2006, section 10.3.2",),
+            tags=("gaussian", "nonlinear", "bias", "composition", "traced"),
+            examples=("schmidt(considered=['bias'], inner='ekf1')",),
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="huber",
+            target="tracker_kalman.huber:HuberUpdate",
+            summary="Any Gaussian filter whose update bounds the pull of outliers (Huber's cost).",
+            paper="Karlgaard and Schaub, Huber-based divided difference filtering, 2007",
+            tags=("gaussian", "nonlinear", "robust", "composition", "traced"),
+            examples=("huber(inner='ukf', threshold=1.345)",),
+            deviations={
+                "equals the textbook filter": "a measurement far from the prediction is trusted less: "
+                "that is its purpose; with a large threshold the law holds",
+                "one measurement at a time": "what an earlier component has explained changes what "
+                "counts as far for a later one",
+            },
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
+            name="student_t",
+            target="tracker_kalman.student_t:StudentTUpdate",
+            summary="Any Gaussian filter with measurement noise of Student's t: outliers are left out.",
+            paper="Agamennoni, Nieto and Nebot, Inference in models with heavy-tailed noise, 2012",
+            equations=("Piché, Särkkä and Hartikainen 2012",),
+            tags=("gaussian", "nonlinear", "robust", "composition", "traced"),
+            examples=("student_t(inner='ekf2', degrees_of_freedom=4.0)",),
+            deviations={
+                "equals the textbook filter": "its noise is not Gaussian: every residual changes what "
+                "a measurement is worth; with many degrees of freedom the law holds",
+                "subtracts through the residual": "the residual is wrapped, but the step is not that of "
+                "Gaussian noise, which the law expects",
+                "one measurement at a time": "one weight serves all components measured together",
+            },
+        )
+    )
+    registry.add(
+        Component(
+            kind="filter",
             name="square_root",
             target="tracker_kalman.square_root:SquareRootFilter",
             summary="First-order extended Kalman filter that carries a root of the covariance.",
             paper="Kaminski, Bryson and Schmidt, Discrete square root filtering, 1971",
-            equations=("section II",),
             tags=("gaussian", "nonlinear", "square-root", "traced"),
         )
     )

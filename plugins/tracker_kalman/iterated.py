@@ -8,22 +8,10 @@ import attrs
 
 from tracker.algebra import apply, condition, finite, product, symmetric_product, transpose
 from tracker.algebra.gaussian import predicted, projected
-from tracker.errors import DomainError, wording
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-
-
-def _at_least_once(_: Any, __: Any, value: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise DomainError(
-            wording(
-                "parameter 'iterations' of filter 'iekf'",
-                got=repr(value),
-                expected="an integer of at least 1",
-                do="pass 1 for the plain extended filter, 2 to 5 to iterate",
-            )
-        )
+from tracker_kalman.inner import at_least
 
 
 @attrs.frozen
@@ -39,12 +27,12 @@ class IteratedExtendedKalmanFilter:
     state.
 
     Reference: Bell and Cathey, The iterated Kalman filter update as a Gauss-Newton method, IEEE
-        Transactions on Automatic Control 38 (1993), eq. 6-8; Bar-Shalom, Li and Kirubarajan (2001),
+        Transactions on Automatic Control 38 (1993); Bar-Shalom, Li and Kirubarajan (2001),
         section 10.5.2.
     Laws: those of kind "filter"; one iteration is "ekf1"; iterating a linear update changes nothing.
     """
 
-    iterations: int = attrs.field(default=3, validator=_at_least_once)
+    iterations: int = attrs.field(default=3, validator=at_least(1, "filter 'iekf'"))
 
     needs = ("jacobian",)
 

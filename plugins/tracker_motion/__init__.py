@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tracker_motion.acceleration_input import acceleration_input
+    from tracker_motion.augmented import augmented
     from tracker_motion.constant_acceleration import constant_acceleration
     from tracker_motion.constant_velocity import constant_velocity
     from tracker_motion.coordinated_turn import coordinated_turn
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "acceleration_input",
+    "augmented",
     "constant_acceleration",
     "constant_velocity",
     "coordinated_turn",

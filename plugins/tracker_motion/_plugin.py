@@ -30,6 +30,16 @@ _COMPONENTS = (
     ),
     Component(
         kind="motion",
+        name="augmented",
+        target="tracker_motion.augmented:augmented",
+        summary="any motion with further components that are constant or drift: biases and the like",
+        paper="Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001",
+        equations=("section 11.9",),
+        tags=("composition", "bias"),
+        examples=("augmented(constant_velocity(0.1), components=['bias [rad]'], density=1e-6)",),
+    ),
+    Component(
+        kind="motion",
         name="constant_acceleration",
         target="tracker_motion.constant_acceleration:constant_acceleration",
         summary="constant acceleration disturbed by white jerk, 1 to 3 axes",

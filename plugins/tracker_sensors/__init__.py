@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from tracker_sensors.azimuth import azimuth
     from tracker_sensors.azimuth_elevation import azimuth_elevation
     from tracker_sensors.azimuth_height import azimuth_height
+    from tracker_sensors.biased import biased
     from tracker_sensors.conical_angle import conical_angle
     from tracker_sensors.doppler_frequency import doppler_frequency
     from tracker_sensors.position import position
@@ -24,6 +25,7 @@ __all__ = [
     "azimuth",
     "azimuth_elevation",
     "azimuth_height",
+    "biased",
     "conical_angle",
     "doppler_frequency",
     "position",

@@ -126,6 +126,16 @@ _COMPONENTS = (
     ),
     Component(
         kind="sensor",
+        name="biased",
+        target="tracker_sensors.biased:biased",
+        summary="any sensor whose measurements are off by components of the state",
+        paper="Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001",
+        equations=("section 11.9",),
+        tags=("composition", "bias"),
+        examples=("biased(azimuth(0.03), biases={'azimuth': 'bias'})",),
+    ),
+    Component(
+        kind="sensor",
         name="stack",
         target="tracker_sensors.stack:stack",
         summary="several sensors with their own poses, read at the same instant, as one",

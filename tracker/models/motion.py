@@ -32,7 +32,7 @@ class ComponentMotion:
     component of ``space``. ``noise(..., *, dt, ...)`` returns the covariance Q of what is added to
     it, as rows. Positional parameters name components of ``space``; keyword-only ones are ``dt`` or
     entries of ``parameters`` and, of ``advance`` alone, ``t`` (the time at the start of the step) or
-    components of ``input_space``.
+    components of ``input_space``. ``parts`` names the registered motions that this one was made of.
 
     Shapes:
         x ``(n, *batch)``; dt scalar or ``(*batch)``; u ``(q,)`` or ``(q, *batch)``; parameters
@@ -49,6 +49,7 @@ class ComponentMotion:
     parameters: MappingProxyType[str, Any] = attrs.field(
         factory=dict, converter=checked_parameters, repr=shown
     )
+    parts: tuple[str, ...] = attrs.field(default=(), repr=False)
     _advance: ComponentFunction = attrs.field(init=False, repr=False, default=_function("advance"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
     # With neither inputs nor time, keyword values change with dt alone: those of a few dt are

@@ -1,0 +1,87 @@
+"""The Huber update around any Gaussian filter (Karlgaard and Schaub 2007; Chang et al. 2012)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import attrs
+
+from tracker.algebra import apply, factor, gain, symmetric_product, whiten
+from tracker.models import absolute, maximum
+from tracker.protocols import MotionModel, SensorModel
+from tracker.types import Gaussian, Innovation, Projection
+from tracker_kalman.inner import at_least, gaussian_filter, positive_number
+from tracker_kalman.reweighted import conditioned_with
+
+
+@attrs.frozen
+class HuberUpdate:
+    """Any Gaussian filter whose update takes large residuals for outliers, up to a point.
+
+    The update minimises ``(x - x-)' P^-1 (x - x-) / 2 + sum_i rho(e_i)`` with ``e = R^-1/2 (z - h(x))``
+    and Huber's rho, quadratic up to ``threshold`` and linear beyond: outliers pull with a bounded
+    force. It is reached by reweighting: the noise of a whitened component is inflated by ``|e_i| /
+    threshold`` where that is above one, starting from the residual of the prediction, a fixed number
+    of times, so that it can be compiled. At 1.345 the loss of efficiency under Gaussian noise is 5 %.
+
+    The works named reweight prediction errors likewise; here the prediction is trusted, so that only
+    measurements are judged. The sensor is seen through the projection of ``inner`` (any filter whose
+    belief is a Gaussian, or its name), so that it need not be differentiable. Residual, S, NIS and
+    likelihood of the innovation are those of the inner filter: they tell of outliers.
+
+    Raises:
+        DomainError: if ``threshold`` is not positive, or ``reweightings`` not at least 1.
+    Reference: Karlgaard and Schaub, Huber-based divided difference filtering, Journal of Guidance,
+        Control, and Dynamics 30 (2007); Chang, Hu, Chang and Li, Huber-based novel robust
+        unscented Kalman filter, IET Science, Measurement & Technology 6 (2012); Huber (1964).
+    Laws: those of kind "filter" that do not trust a measurement without limit; with an infinite
+        threshold it is the inner filter; it minimises Huber's cost.
+    """
+
+    inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
+    threshold: Annotated[float, "standard deviations"] = attrs.field(
+        default=1.345, validator=positive_number("filter 'huber'")
+    )
+    reweightings: int = attrs.field(default=5, validator=at_least(1, "filter 'huber'"))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What its inner filter needs."""
+        return tuple(self.inner.needs)
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """What its inner filter says of itself."""
+        return tuple(getattr(self.inner, "tags", ()))
+
+    def predict(
+        self, state: Any, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
+    ) -> Any:
+        """As its inner filter."""
+        return self.inner.predict(state, motion, dt, u, t)
+
+    def project(self, state: Any, sensor: SensorModel, pose: Any = None) -> Projection:
+        """As its inner filter."""
+        return self.inner.project(state, sensor, pose)  # type: ignore[no-any-return]
+
+    def update(
+        self,
+        state: Any,
+        sensor: SensorModel,
+        z: Any,
+        pose: Any = None,
+        projection: Projection | None = None,
+    ) -> tuple[Gaussian, Innovation]:
+        """Condition on ``z`` with its noise inflated; components that are NaN were not measured."""
+        seen = self.project(state, sensor, pose) if projection is None else projection
+
+        def inflated(v: Any, known: Any, R: Any, _measured: Any) -> Any:
+            root, e, noise = factor(R), v, R
+            for step in range(self.reweightings):
+                if step:
+                    e = apply(gain(noise, known + noise), v)  # what the update leaves of v
+                excess = maximum(absolute(whiten(root, e)) * (1.0 / self.threshold), 1.0)
+                noise = symmetric_product(root * excess[None], root)
+            return noise
+
+        return conditioned_with(inflated, state, sensor, z, pose, seen)

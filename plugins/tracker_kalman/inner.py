@@ -1,0 +1,67 @@
+"""What filters made of other filters take as parameters, and how it is checked; no filter lives here."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tracker.errors import CapabilityError, DomainError, wording
+
+
+def gaussian_filter(value: Any) -> Any:
+    """A filter whose belief is a Gaussian, or the registered one of that name.
+
+    Raises:
+        UnknownComponent: for a name that is not registered.
+        CapabilityError: for what is no filter, or carries another kind of belief.
+    """
+    if isinstance(value, str):
+        from tracker.registry import default_registry
+
+        value = default_registry().get("filter", value).make()
+    lacks = [name for name in ("predict", "project", "update") if not hasattr(value, name)]
+    if lacks or hasattr(value, "begin"):
+        raise CapabilityError(
+            wording(
+                "parameter 'inner'",
+                got=f"a {type(value).__name__}, "
+                + (f"without {lacks[0]}" if lacks else "which carries its own kind of belief"),
+                expected="a filter whose belief is a Gaussian, such as 'ekf1', 'ekf2' or 'ukf'",
+                do="name one of those; `tracker list filter` shows all",
+            )
+        )
+    return value
+
+
+def at_least(least: int, owner: str) -> Any:
+    """A validator: an integer that is not below ``least``."""
+
+    def check(_instance: Any, attribute: Any, value: Any) -> None:
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise DomainError(
+                wording(
+                    f"parameter {attribute.name!r} of {owner}",
+                    got=repr(value),
+                    expected=f"an integer of at least {least}",
+                    do="pass a small number: each one costs another turn",
+                )
+            )
+
+    return check
+
+
+def positive_number(owner: str) -> Any:
+    """A validator: a finite number above zero."""
+
+    def check(_instance: Any, attribute: Any, value: Any) -> None:
+        if not (isinstance(value, (int, float)) and 0.0 < value < math.inf):
+            raise DomainError(
+                wording(
+                    f"parameter {attribute.name!r} of {owner}",
+                    got=repr(value),
+                    expected="a finite number above zero",
+                    do="leave it out for the usual one",
+                )
+            )
+
+    return check
