@@ -31,20 +31,22 @@ def semidefinite(P: Any, rounding: float = 1.0) -> Any:
     n, tolerance = len(P), ROUNDING * rounding
     A = [[P[i, j] for j in range(n)] for i in range(n)]
     lowest: Any = 1.0
-    for j in range(n):
-        near = absolute(P[j, j]) * tolerance
-        lowest = minimum(A[j][j] + near, lowest)  # NaN if the pivot is
-        # Below a pivot of zero stand zeros; anything else, so divided, sends a later one far down.
-        _eliminate(A, j, maximum(maximum(A[j][j], near), _TINY))
+    with np.errstate(all="ignore"):
+        for j in range(n):
+            near = absolute(P[j, j]) * tolerance
+            lowest = minimum(A[j][j] + near, lowest)  # NaN if the pivot is
+            # Below a pivot of zero stand zeros; anything else, so divided, sends a later one far down.
+            _eliminate(A, j, maximum(maximum(A[j][j], near), _TINY))
     good = less(-_TINY, lowest)
     return _of_entries(P, lambda i, j: where(good, P[i, j], math.nan))
 
 
 def raised(P: Any, floor: float) -> Any:
-    """P plus the diagonal that makes it positive definite; P itself where it is.
+    """P plus a diagonal that makes it positive definite; P itself where it is.
 
-    Works on P scaled to a unit diagonal, so that ``floor``, the smallest pivot allowed, has no unit.
-    Pivots are raised further where the entries below them would otherwise grow.
+    Works on P scaled to a unit diagonal, so that ``floor``, the smallest pivot allowed, has no unit. A
+    negative pivot is raised to its own size, since a variance that came out as -4 is no reason to be
+    certain, and further where the entries below it would otherwise grow.
 
     Shapes:
         P ``(n, n, *batch)``, symmetric; result alike.
@@ -65,7 +67,7 @@ def raised(P: Any, floor: float) -> Any:
         pivot, most = C[j][j], 0.0
         for i in range(j + 1, n):
             most = maximum(most, absolute(C[i][j]))
-        needed = maximum(maximum(pivot, most * most / bound), floor)
+        needed = maximum(maximum(absolute(pivot), most * most / bound), floor)
         added.append(where(isnan(pivot), pivot, (needed - pivot) * variance[j]))
         _eliminate(C, j, needed)
     return _of_entries(P, lambda i, j: P[i, j] + added[i] if i == j else P[i, j])

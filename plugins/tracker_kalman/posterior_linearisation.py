@@ -22,6 +22,7 @@ from tracker.errors import DomainError, wording
 from tracker.models import isnan, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
+from tracker_kalman.indefinite import raised
 from tracker_kalman.sigma_point import SigmaPointFilter, check_floor, checked, through_sensor
 from tracker_kalman.sigma_points import PointSet, Scaled, point_set
 
@@ -101,6 +102,8 @@ class PosteriorLinearisationFilter:
             seen = through_sensor(self.points, after.mean, root, sensor, pose)
             A = gain(transpose(seen.cross), after.cov)
             noise = seen.cov - congruence(A, after.cov)  # Omega + R
+            if self.floor is not None and seen.rule.negative:
+                noise = raised(noise, self.floor)
             back = residual(state.mean, after.mean, flags if any(flags) else False)
             AP = product(A, state.cov)
             fitted = Projection(

@@ -185,7 +185,9 @@ class SigmaPointFilter:
 
     Linear models need no points: every set is exact there, and ``F P F' + Q`` is computed instead,
     which differs by rounding alone. Angles, of measurement and state, are averaged and subtracted as
-    wrapped differences from the value at the mean. Singular covariances are allowed.
+    wrapped differences from the value at the mean. Singular covariances are allowed. Augmented points
+    depend on how many components a sensor has, so that a missing one equals a sensor without it only
+    as well as the points are right.
 
     Raises:
         DomainError: for a set that does not exist, or options that do not fit together.
