@@ -14,6 +14,7 @@ _HOME = {
     "IteratedExtendedKalmanFilter": "iterated",
     "JosephFilter": "joseph",
     "KalmanFilter": "kf",
+    "ModeSmoother": "imm_smoother",
     "PosteriorLinearisationFilter": "posterior_linearisation",
     "RauchTungStriebel": "rts",
     "SquareRootRauchTungStriebel": "square_root_rts",

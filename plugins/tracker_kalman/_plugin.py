@@ -301,3 +301,14 @@ def tracker_components(registry: Registry) -> None:
             tags=("manoeuvre", "mixture", "nonlinear", "traced"),
         )
     )
+    registry.add(
+        Component(
+            kind="smoother",
+            name="imm_smoother",
+            target="tracker_kalman.imm_smoother:ModeSmoother",
+            summary="Fixed-interval smoother of interacting multiple models, pair by pair of modes.",
+            paper="Barber 2006",
+            equations=("12-23", "Kim 1994, 2.20-2.24"),
+            tags=("fixed-interval", "manoeuvre", "mixture"),
+        )
+    )

@@ -15,7 +15,7 @@ from tracker.models import absolute, exp, isnan, less, log, maximum, one_of, whe
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection, Space
 
-MISSING = ("zero", "common")
+MISSING = ("zero", "prior", "common")
 """What a component is in a mode that lacks it; see `InteractingMultipleModels`."""
 
 FAINTEST = 1e-300
@@ -28,10 +28,12 @@ class ModeMixture:
     """A state for each mode, in that mode's own components, and how likely each mode is.
 
     ``places`` tells where a mode's components lie in the whole state, ``circular`` which of the whole
-    live on a circle; ``missing`` is the filter's.
+    live on a circle; ``missing`` is the filter's, and ``prior`` the state that it began with, where
+    that stands for what a mode lacks.
 
     Shapes:
-        members: beliefs ``(n_j, *batch)``; probabilities ``(modes, *batch)``, which sum to one.
+        members: beliefs ``(n_j, *batch)``; probabilities ``(modes, *batch)``, which sum to one; prior
+        ``(n, *batch)`` or None.
     """
 
     members: tuple[Any, ...]
@@ -39,11 +41,12 @@ class ModeMixture:
     places: tuple[tuple[int, ...], ...]
     circular: tuple[bool, ...]
     missing: str = MISSING[0]
+    prior: Gaussian | None = None
 
     def moments(self) -> Gaussian:
         """Mean and covariance of the whole state, over all modes."""
         own = [member.moments() for member in self.members]
-        return mixed(own, self.probabilities, self.places, self.circular, self.missing)
+        return mixed(own, self.probabilities, self.places, self.circular, self.missing, self.prior)
 
 
 def mixed(
@@ -51,20 +54,22 @@ def mixed(
     weights: Any,
     places: Sequence[Sequence[int]],
     circular: tuple[bool, ...],
-    missing: str,
+    missing: str = MISSING[0],
+    prior: Gaussian | None = None,
 ) -> Gaussian:
     """Moments over ``circular``'s components of modes of which some lack some.
 
     Shapes:
-        members ``(n_j, *batch)``; weights ``(modes, *batch)``; places, where each lies in the whole.
+        members ``(n_j, *batch)``; weights ``(modes, *batch)``; places, where each lies in the whole;
+        prior ``(n, *batch)`` of what members lack, None for zeros.
     """
     n = len(circular)
     if len(members) == 1 and len(places[0]) == n:
         return members[0]
-    whole = [_embedded(m, p, n) for m, p in zip(members, places, strict=True)]
+    whole = [embedded(m, p, n, prior) for m, p in zip(members, places, strict=True)]
     cov = np.stack([m.cov for m in whole], axis=2)
     mean = np.stack([m.mean for m in whole], axis=1)
-    if missing == "zero" or all(len(p) == n for p in places):
+    if missing != "common" or all(len(p) == n for p in places):
         return Gaussian.trusted(*mix(mean, cov, weights, circular))
     centre, _ = mix(mean, cov, weights, circular)
     for k, p in enumerate(places):  # no difference from the mean where there is no component
@@ -73,18 +78,25 @@ def mixed(
     return Gaussian.trusted(*mix(mean, cov, weights, circular, about=centre))
 
 
-def _embedded(member: Gaussian, places: Sequence[int], n: int) -> Gaussian:
-    """A mode's own components at their places; what it lacks is zero, and certain."""
+def embedded(
+    member: Gaussian, places: Sequence[int], n: int, prior: Gaussian | None = None
+) -> Gaussian:
+    """A mode's own components at their places; what it lacks is as in ``prior``, or certainly zero."""
     if len(places) == n:
         return member
     batch, dtype = member.mean.shape[1:], member.mean.dtype
     mean, cov = np.zeros((n, *batch), dtype), np.zeros((n, n, *batch), dtype)
+    if prior is not None:
+        absent = sorted(set(range(n)).difference(places))
+        mean[absent] = prior.mean[absent]
+        cov[np.ix_(absent, absent)] = prior.cov[np.ix_(absent, absent)]
     mean[list(places)] = member.mean
     cov[np.ix_(places, places)] = member.cov
     return Gaussian.trusted(mean, cov)
 
 
-def _part(whole: Gaussian, places: Sequence[int]) -> Gaussian:
+def part(whole: Gaussian, places: Sequence[int]) -> Gaussian:
+    """Some components of a Gaussian."""
     if tuple(places) == tuple(range(len(whole.mean))):
         return whole
     return Gaussian.trusted(whole.mean[list(places)], whole.cov[np.ix_(places, places)])
@@ -105,17 +117,19 @@ class ModeProjection:
 
 
 # ------------------------------------------------------------------------------------- filter
-def _filters(value: Any) -> tuple[Any, ...]:
+def filters_of(value: Any) -> tuple[Any, ...]:
+    """One filter, or several, each itself or the name of a registered one."""
     given = [value] if isinstance(value, str) or not isinstance(value, Iterable) else list(value)
-    return tuple(_made(one) for one in given)
+    return tuple(made(one) for one in given)
 
 
-def _made(value: Any) -> Any:
+def made(value: Any, kind: str = "filter") -> Any:
+    """A component, or the registered one of that name."""
     if not isinstance(value, str):
         return value
-    from tracker.registry import filters
+    from tracker.registry import default_registry
 
-    return filters.make(value)
+    return default_registry().get(kind, value).make()
 
 
 @attrs.frozen
@@ -135,8 +149,9 @@ class InteractingMultipleModels:
     reads must be part of every mode.
 
     Modes may differ in their components. ``missing="zero"``: in a mode that lacks it, a component is
-    zero, and certain (a target at constant velocity has no acceleration); moments over the modes are
-    exact. ``missing="common"``: as "zero", but the absent component adds no spread to the covariance,
+    zero, and certain: a target at constant velocity has no acceleration. ``missing="prior"``: it is
+    what the prior of the run said, so that a turn rate, say, starts anew with every turn.
+    ``missing="common"``: as "zero", but the absent component adds no spread to the covariance,
     which thus is too small; the convention of the EKF/UKF toolbox.
 
     The innovation is that of the mixture: ``residual`` and ``S`` come from the moments over the modes
@@ -167,7 +182,7 @@ class InteractingMultipleModels:
     [0.0, 1.0]
     """
 
-    filters: tuple[Any, ...] = attrs.field(default="ekf1", converter=_filters)
+    filters: tuple[Any, ...] = attrs.field(default="ekf1", converter=filters_of)
     missing: str = MISSING[0]
 
     def __attrs_post_init__(self) -> None:
@@ -191,7 +206,7 @@ class InteractingMultipleModels:
     # --------------------------------------------------------------------------- the start
     def begin(self, prior: Any, motion: MotionModel | None = None) -> ModeMixture:
         """A state for each mode from one for all: each takes what it has of it."""
-        count = 1 if motion is None else len(_modes(motion))
+        count = 1 if motion is None else len(modes_of(motion))
         if isinstance(prior, ModeMixture):
             if motion is None or len(prior.members) == count:
                 return prior
@@ -201,12 +216,20 @@ class InteractingMultipleModels:
         initial = (1.0,) if count == 1 else motion.initial  # type: ignore[union-attr]
         circular = (False,) * n if motion is None else motion.space.circular
         members = tuple(
-            _begun(rule, _part(prior, p))
+            _begun(rule, part(prior, p))
             for rule, p in zip(self._of_each(count), places, strict=True)
         )
         if not prior.mean.dtype.hasobject:
             initial = tuple(np.broadcast_to(p, batch) for p in initial)
-        return ModeMixture(members, np.stack(initial), places, circular, self.missing)
+        lacking = any(len(p) < n for p in places)
+        return ModeMixture(
+            members,
+            np.stack(initial),
+            places,
+            circular,
+            self.missing,
+            prior if self.missing == "prior" and lacking else None,
+        )
 
     def _of_each(self, count: int) -> tuple[Any, ...]:
         if len(self.filters) == 1:
@@ -228,7 +251,7 @@ class InteractingMultipleModels:
     ) -> ModeMixture:
         """Mix, then predict each mode through its own motion."""
         before = self.begin(state, motion)
-        modes = _modes(motion)
+        modes = modes_of(motion)
         rules = self._of_each(len(modes))
         if len(modes) == 1:
             member = rules[0].predict(before.members[0], modes[0], dt, u, t)
@@ -271,10 +294,9 @@ class InteractingMultipleModels:
             cov[:-m, :-m], cov[-m:, -m:] = x.cov, its.S
             cov[:-m, -m:], cov[-m:, :-m] = its.cross, its.cross.swapaxes(0, 1)
             pair = Gaussian.trusted(np.concatenate([x.mean, its.z]), cov)
-            pairs.append(_embedded(pair, (*p, *range(n, n + m)), n + m))
+            pairs.append(embedded(pair, (*p, *range(n, n + m)), n + m))
         flags = (*before.circular, *sensor.space.circular)
-        places = [tuple(range(n + m))] * len(pairs)
-        both = mixed(pairs, before.probabilities, places, flags, before.missing)
+        both = mixed(pairs, before.probabilities, [range(n + m)] * len(pairs), flags)
         return ModeProjection(z, S, both.cov[:n, n:], seen)
 
     def _projected(self, before: ModeMixture, sensor: SensorModel, pose: Any) -> tuple[Any, ...]:
@@ -372,7 +394,7 @@ def _together(seen: Sequence[Any], weights: Any, sensor: SensorModel) -> tuple[A
     return mix(z, S, weights, sensor.space.circular)
 
 
-def _modes(motion: Any) -> tuple[Any, ...]:
+def modes_of(motion: Any) -> tuple[Any, ...]:
     """The modes of a motion; one that does not switch has one."""
     return tuple(motion.modes) if hasattr(motion, "transition") else (motion,)
 
@@ -388,9 +410,10 @@ def _into(own: Sequence[Gaussian], weights: Any, before: ModeMixture, j: int) ->
     members, places = [], []
     for member, having in zip(own, before.places, strict=True):
         common = [place for place in target if place in having]
-        members.append(_part(member, [having.index(place) for place in common]))
+        members.append(part(member, [having.index(place) for place in common]))
         places.append([target.index(place) for place in common])
-    return mixed(members, weights, places, circular, before.missing)
+    prior = None if before.prior is None else part(before.prior, target)
+    return mixed(members, weights, places, circular, before.missing, prior)
 
 
 def _sensors(before: ModeMixture, sensor: Any) -> list[Any]:
