@@ -2,9 +2,11 @@
 
 A ```text block that directly follows is the expected output; numbers may differ by a percent, as
 other versions of the libraries round differently. A block that begins with a comment holding the
-path of a file of the template is that file.
+path of a file of the template is that file. A ```py block is another library's code: it runs where that
+library is installed.
 """
 
+import importlib.util
 import re
 import subprocess
 import sys
@@ -48,11 +50,20 @@ def blocks(page: Path) -> list[tuple[str, int, str]]:
     return found
 
 
+def runs(page: Path, language: str) -> bool:
+    """Whether blocks of this language are run: ours always, others' where all they import is there."""
+    if language != "py":
+        return language == "python"
+    others = "\n".join(text for name, _, text in blocks(page) if name == "py")
+    imported = set(re.findall(r"^(?:from|import) (\w+)", others, re.MULTILINE))
+    return all(importlib.util.find_spec(name) for name in imported)
+
+
 def script(page: Path) -> str:
     """The page's Python, every line at its own line number; each block ends by saying so."""
     lines: list[str] = []
     for language, first, text in blocks(page):
-        if language == "python":
+        if runs(page, language):
             lines += [""] * (first - 1 - len(lines))
             lines += text.splitlines()
             lines += [f"print({END!r})"]  # where the closing fence is
@@ -65,7 +76,7 @@ def expected(page: Path) -> list[str | None]:
     found = blocks(page)
     answers: list[str | None] = []
     for k, (language, first, text) in enumerate(found):
-        if language != "python":
+        if not runs(page, language):
             continue
         answer = None
         if k + 1 < len(found) and found[k + 1][0] == "text":
