@@ -45,13 +45,13 @@ def atan2(y: Any, x: Any) -> Any:
     ax, ay = absolute(x), absolute(y)
     wide = less(ax, ay)
     # Either NaN reaches the quotient, because comparisons with it are false.
-    longer, shorter = where(wide, ay, ax), minimum(where(wide, ax, ay), LARGEST)
+    longer, shorter = where(wide, ay, ax), where(wide, ax, ay)
     steep = less(0.41421356237309503 * longer, shorter)
-    # Reduced to |q| <= tan(pi/8); the bound keeps 0/0 of the origin at 0.
-    above = where(steep, shorter - longer, shorter)
+    # Reduced to |q| <= tan(pi/8); the bounds keep 0/0 and inf/inf at 0.
+    above = minimum(where(steep, shorter - longer, shorter), LARGEST)
     q = above / maximum(where(steep, shorter + longer, longer), 1e-300)
     z = q * q
-    r = q + q * (z * _two_chains(z, *_ARCTANGENT))
+    r = q + (q * z) * _two_chains(z, *_ARCTANGENT)
     r = where(steep, r + 0.7853981633974483, r)
     r = where(wide, 1.5707963267948966 - r, r)
     r = where(less(x, 0.0), math.pi - r, r)

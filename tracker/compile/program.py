@@ -14,6 +14,7 @@ import numpy as np
 
 from tracker.compile.elementary import EXPANSIONS
 from tracker.errors import ShapeError, wording
+from tracker.models.functions import absolute, wrap
 from tracker.models.graph import NUMPY, Entry, Graph, Node, needed, plain
 from tracker.types import Array
 
@@ -240,10 +241,38 @@ def _copied(node: Node, graph: Graph, copied: Mapping[int, Node]) -> Node:
         return graph.const(node.value)
     if node.op == "input":
         return graph.input(node.value)
+    if node.op == "isnan":
+        angle = _unwrapped(node.args[0])
+        if angle is not None:
+            return graph.make("isnan", _telling(angle, copied))
     arguments = [copied[a.index] for a in node.args]
     if node.op in EXPANSIONS and any(a.op != "const" for a in arguments):
         return graph.const(plain(EXPANSIONS[node.op](*arguments)))
     return graph.make(node.op, *arguments)
+
+
+def _unwrapped(node: Node) -> Node | None:
+    """The angle of which a node is the `wrap`, or None."""
+    if node.op == "max" and node.args[0].op == "min" and node.args[0].args[0].op == "add":
+        for angle in node.args[0].args[0].args:
+            if angle.op != "const" and wrap(angle) is node:  # equal expressions are one node
+                return angle
+    return None
+
+
+def _telling(node: Node, copied: Mapping[int, Node]) -> Any:
+    """What is NaN where an angle is, and known long before it: what the angle is made of.
+
+    Whether a component was measured decides about covariances, which need no angle otherwise.
+    Never negative, so that nothing cancels. An infinite angle is not told of: it is refused
+    where measurements enter.
+    """
+    angle = _unwrapped(node)
+    if angle is not None:
+        return _telling(angle, copied)
+    if node.op in ("add", "sub", "atan2"):
+        return _telling(node.args[0], copied) + _telling(node.args[1], copied)
+    return 0.0 if node.op == "const" else absolute(copied[node.index])
 
 
 # ------------------------------------------------------------------------------ running it
