@@ -380,13 +380,15 @@ def _pitch(lanes: int) -> int:
 
 def _allocation(size: int) -> Callable[[], Any]:
     """How to get memory for a result: ctypes' own is cheap while clearing it costs nothing."""
-    buffer = ctypes.c_double * size
+    buffer, larger = ctypes.c_double * size, ctypes.c_double * (size + WIDTH)
     if size < _MANY * WIDTH:
         return buffer
 
     def unwritten() -> Any:
-        memory: Any = np.empty(size)
-        return buffer.from_buffer(memory)
+        # On a cache line: vectors that lie across two of them cost twice as much.
+        memory: Any = np.empty(size + WIDTH)
+        start = -ctypes.addressof(larger.from_buffer(memory)) % (_BYTES * WIDTH)
+        return buffer.from_buffer(memory, start)
 
     return unwritten
 
