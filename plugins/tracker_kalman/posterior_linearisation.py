@@ -35,7 +35,10 @@ class PosteriorLinearisationFilter:
     covariance Omega to them, and conditions the *predicted* state on the measurement seen through that
     fit: a measurement counts once. The first iteration is `sigma_point.SigmaPointFilter`. The number of
     iterations is fixed, so that the update can be compiled. Innovation, NIS and likelihood are those
-    of the first: of the predicted state. Linear sensors need no iteration.
+    of the first: of the predicted state. Linear sensors need no iteration. Iterations are not damped:
+    where a target passes close to a sensor they may settle at a wrong answer and be certain of it (of
+    1,000 runs of scenario "two_stations" 12, as of the iterated extended filter 13; of the plain
+    sigma-point filter none).
 
     Raises:
         DomainError: if iterations is not at least 1.
@@ -58,7 +61,7 @@ class PosteriorLinearisationFilter:
         check_floor(floor)
 
     @iterations.validator
-    def _at_least_once(self, _attribute: object, value: int) -> None:
+    def _at_least_once(self, _attribute: object, value: Any) -> None:
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
             raise DomainError(
                 wording(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import attrs
@@ -51,28 +52,44 @@ class RauchTungStriebel:
     ) -> Gaussian:
         """Smoothed moments at k, from those filtered at k and predicted and smoothed at k + 1."""
         G = self.gain(filtered, predicted, motion, dt, u, t)
-        ahead = residual(smoothed.mean, predicted.mean, _circular(motion))
-        return Gaussian.trusted(
-            filtered.mean + apply(G, ahead),
-            filtered.cov + congruence(G, smoothed.cov - predicted.cov),
-        )
+        return regressed(G, filtered, predicted, smoothed, motion)
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory; the last step equals the filter."""
-        filtered, predicted, t = history.filtered, history.predicted, history.t
-        mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
-        if not len(history):
-            return attrs.evolve(history, smoothed=Trajectory(mean, cov))
-        state = filtered.at(len(history) - 1)
-        mean[-1], cov[-1] = state.mean, state.cov
-        with np.errstate(all="ignore"):
-            for k in range(len(history) - 2, -1, -1):
-                u = None if history.u is None else history.u[k + 1]
-                state = self.step(
-                    filtered.at(k), predicted.at(k + 1), state, motion, t[k + 1] - t[k], u, t[k]
-                )
-                mean[k], cov[k] = state.mean, state.cov
+        return backwards(self.step, history, motion)
+
+
+def regressed(
+    G: Any, filtered: Gaussian, predicted: Gaussian, smoothed: Gaussian, motion: MotionModel
+) -> Gaussian:
+    """Smoothed moments at k, by the regression G of the state there on that at k + 1.
+
+    Shapes:
+        G ``(n, n, *batch)``; moments as in `RauchTungStriebel.step`.
+    """
+    ahead = residual(smoothed.mean, predicted.mean, _circular(motion))
+    return Gaussian.trusted(
+        filtered.mean + apply(G, ahead),
+        filtered.cov + congruence(G, smoothed.cov - predicted.cov),
+    )
+
+
+def backwards(step: Callable[..., Gaussian], history: History, motion: MotionModel) -> History:
+    """A history smoothed by single steps, from its last estimate, which stays, to its first."""
+    filtered, predicted, t = history.filtered, history.predicted, history.t
+    mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
+    if not len(history):
         return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+    state = filtered.at(len(history) - 1)
+    mean[-1], cov[-1] = state.mean, state.cov
+    with np.errstate(all="ignore"):
+        for k in range(len(history) - 2, -1, -1):
+            u = None if history.u is None else history.u[k + 1]
+            state = step(
+                filtered.at(k), predicted.at(k + 1), state, motion, t[k + 1] - t[k], u, t[k]
+            )
+            mean[k], cov[k] = state.mean, state.cov
+    return attrs.evolve(history, smoothed=Trajectory(mean, cov))
 
 
 def _circular(motion: MotionModel) -> bool | tuple[bool, ...]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import attrs
-import numpy as np
 
-from tracker.algebra import apply, congruence, factor, gain, residual
+from tracker.algebra import factor, gain
 from tracker.protocols import MotionModel
-from tracker.types import Gaussian, History, Trajectory
-from tracker_kalman.rts import RauchTungStriebel
+from tracker.types import Gaussian, History
+from tracker_kalman.rts import RauchTungStriebel, backwards, regressed
 from tracker_kalman.sigma_point import through_motion
 from tracker_kalman.sigma_points import PointSet, Scaled, point_set
 
@@ -63,26 +62,8 @@ class SigmaPointRauchTungStriebel:
     ) -> Gaussian:
         """Smoothed moments at k, from those filtered at k and predicted and smoothed at k + 1."""
         G = self.gain(filtered, predicted, motion, dt, u, t)
-        flags = motion.space.circular
-        ahead = residual(smoothed.mean, predicted.mean, flags if any(flags) else False)
-        return Gaussian.trusted(
-            filtered.mean + apply(G, ahead),
-            filtered.cov + congruence(G, smoothed.cov - predicted.cov),
-        )
+        return regressed(G, filtered, predicted, smoothed, motion)
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory; the last step equals the filter."""
-        filtered, predicted, t = history.filtered, history.predicted, history.t
-        mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
-        if not len(history):
-            return attrs.evolve(history, smoothed=Trajectory(mean, cov))
-        state = filtered.at(len(history) - 1)
-        mean[-1], cov[-1] = state.mean, state.cov
-        with np.errstate(all="ignore"):
-            for k in range(len(history) - 2, -1, -1):
-                u = None if history.u is None else history.u[k + 1]
-                state = self.step(
-                    filtered.at(k), predicted.at(k + 1), state, motion, t[k + 1] - t[k], u, t[k]
-                )
-                mean[k], cov[k] = state.mean, state.cov
-        return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+        return backwards(self.step, history, motion)

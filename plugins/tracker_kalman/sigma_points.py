@@ -286,7 +286,7 @@ class GaussHermite:
     order: int = attrs.field(default=3)
 
     @order.validator
-    def _at_least_two(self, _attribute: object, order: int) -> None:
+    def _at_least_two(self, _attribute: object, order: Any) -> None:
         if not (isinstance(order, int) and order >= 2):
             raise _refused("order", order, "an integer of at least 2", "one point has no spread")
 

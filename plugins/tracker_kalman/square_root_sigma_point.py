@@ -71,7 +71,8 @@ class SquareRootSigmaPointFilter:
 
     def project(self, state: Any, sensor: SensorModel, pose: Any = None) -> Projection:
         """Mean and covariance of h over the points, and R; the covariance of state and measurement."""
-        return self._seen(rooted(state), sensor, pose)[0]
+        projection: Projection = self._seen(rooted(state), sensor, pose)[0]
+        return projection
 
     def update(
         self,
