@@ -43,8 +43,10 @@ def missing_capabilities(component: Any, needs: Sequence[str]) -> list[str]:
             has = bool(getattr(component, "linear", False))
         elif need in ("jacobian", "hessian"):
             opaque = bool(getattr(component, "why_opaque", ""))
+            linear = bool(getattr(component, "linear", False))
             by_hand = getattr(component, "derivative", None) is not None and need == "jacobian"
-            has = hasattr(component, need) and (not opaque or by_hand)
+            has = hasattr(component, need) and (not opaque or by_hand or linear)
+            has = has or (linear and need == "hessian")  # zero: nobody asks for it
         else:
             has = hasattr(component, need)
         if not has:
