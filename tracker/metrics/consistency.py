@@ -10,8 +10,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.algebra import mahalanobis
-from tracker.types import Array
+from tracker.algebra import factor, mahalanobis, whiten, without_missing
+from tracker.types import Array, Innovation
 
 
 def nees(errors: Array, cov: Array) -> Array:
@@ -89,3 +89,87 @@ def mean_interval(samples: Any, probability: float = 0.95) -> Interval:
         values.std(ddof=1) / np.sqrt(values.size)
     )
     return Interval(mean, mean - half, mean + half, probability)
+
+
+@attrs.frozen(eq=False)
+class Whiteness:
+    """Whether innovations are uncorrelated in time, as those of a matched filter are.
+
+    ``statistic`` is chi-square with ``degrees`` degrees of freedom if they are, and larger if not;
+    ``probability`` is that of a larger one by chance.
+
+    Shapes:
+        statistic, degrees, probability ``(*batch)``; correlations ``(lags, *batch)``: mean over the
+        components of a component with itself, so many steps later.
+    """
+
+    statistic: Any
+    degrees: Any
+    correlations: Any
+
+    @property
+    def probability(self) -> Any:
+        """Of a larger statistic in a matched filter, ``(*batch)``; NaN where nothing is known."""
+        from scipy.special import chdtrc
+
+        with np.errstate(all="ignore"):
+            return np.where(self.degrees > 0, chdtrc(self.degrees, self.statistic), np.nan)
+
+    @property
+    def together(self) -> Whiteness:
+        """All lanes, which are independent, as one; those that are not finite are left out."""
+        good = np.isfinite(self.statistic) & (self.degrees > 0)
+        lanes = tuple(range(1, np.ndim(self.correlations)))
+        with np.errstate(all="ignore"):
+            return Whiteness(
+                np.where(good, self.statistic, 0.0).sum(),
+                np.where(good, self.degrees, 0.0).sum(),
+                np.nanmean(np.where(good, self.correlations, np.nan), axis=lanes)
+                if np.any(good)
+                else np.full(len(self.correlations), np.nan),
+            )
+
+
+def whiteness(innovation: Innovation, lags: int = 5) -> Whiteness:
+    """A portmanteau test of the autocorrelation of a run's innovations.
+
+    Each is whitened by its own covariance S; the correlations of every component with every other,
+    1 to ``lags`` steps later, are squared and added. The sizes of innovations are divided out: they
+    are the business of NIS. Components that were not measured are left out of their pairs.
+
+    Shapes:
+        innovation with a leading time axis, as in a `History`.
+    Reference:
+        Hosking (1980), The multivariate portmanteau statistic; Ljung and Box (1978) for the small-sample
+        factor; Bar-Shalom, Li and Kirubarajan (2001), section 5.4.2, eq. 5.4.2-16, for the idea.
+    Laws:
+        on matched linear models a chi-square variable, but for records shorter than ten times ``lags``.
+    """
+    v, S = np.moveaxis(innovation.residual, 0, 1), np.moveaxis(innovation.S, 0, 2)
+    steps, batch = v.shape[1], v.shape[2:]
+    seen = np.isfinite(v)
+    with np.errstate(all="ignore"):
+        whole, _ = without_missing(S, np.zeros((1, *v.shape)), v)
+        e = np.where(seen, whiten(factor(whole), np.where(seen, v, 0.0)), 0.0)
+        count = seen.sum(axis=1)
+        power = np.where(count > 0, (e**2).sum(axis=1) / np.maximum(count, 1), np.nan)
+        statistic, degrees = np.zeros(batch), np.zeros(batch)
+        own = np.eye(len(v)).reshape(len(v), len(v), *(1,) * len(batch))
+        correlations = np.full((lags, *batch), np.nan)
+        for lag in range(1, min(lags, steps - 1) + 1):
+            early, late = slice(0, steps - lag), slice(lag, steps)
+            pairs = np.einsum(
+                "at...,bt...->ab...", seen[:, late].astype(float), seen[:, early].astype(float)
+            )
+            total = np.einsum("at...,bt...->ab...", e[:, late], e[:, early])
+            r = total / pairs / np.sqrt(power[:, None] * power)
+            used = (pairs > 0) & np.isfinite(r)
+            # Ljung and Box's factor: a component also stands in its own denominator.
+            size = pairs * (1.0 + own * 2.0 / np.maximum(count, 1))
+            statistic += np.where(used, size * r**2, 0.0).sum(axis=(0, 1))
+            degrees += used.sum(axis=(0, 1))
+            correlations[lag - 1] = np.nanmean(
+                np.where(np.einsum("aa...->a...", used), np.einsum("aa...->a...", r), 0.0), axis=0
+            )
+    lost = ~np.asarray(innovation.ok).all(axis=0)
+    return Whiteness(np.where(lost, np.nan, statistic), np.where(lost, 0.0, degrees), correlations)
