@@ -143,7 +143,7 @@ class Reading:
 
 
 @attrs.frozen
-class Row:
+class ResultRow:
     """A published number, ours with its interval, and the verdict with its reason."""
 
     id: str
@@ -163,10 +163,10 @@ def row(
     *,
     not_comparable: str = "",
     note: str = "",
-) -> Row:
+) -> ResultRow:
     """A row whose verdict follows from the rule of `verdict`; ``note`` is added to the reason."""
     word, why = verdict(published, ours, readings, not_comparable=not_comparable)
-    return Row(
+    return ResultRow(
         published.id,
         published.value,
         ours.value,
@@ -330,7 +330,7 @@ class Reproduction:
     title: str
     seed: int
     runs: int
-    rows: tuple[Row, ...]
+    rows: tuple[ResultRow, ...]
     claims: tuple[Claim, ...]
     errata: tuple[Erratum, ...]
     pictures: tuple[Picture, ...] = ()

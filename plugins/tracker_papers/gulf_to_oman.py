@@ -112,4 +112,4 @@ def along(waypoints: ArrayLike, *, speed: float, dt: float) -> tuple[Array, Arra
     place = np.interp(speed * t, length, fine)
     tangent = spline(place, 1)
     velocity = speed * tangent / np.hypot(*tangent.T)[:, None]
-    return t, np.concatenate([spline(place), velocity], axis=1)
+    return as_array(t, "t"), np.concatenate([spline(place), velocity], axis=1)

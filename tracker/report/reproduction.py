@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from tracker.report import page as html
 from tracker.report.drawing import svg_and_png
-from tracker.reproduction import Reproduction, Row
+from tracker.reproduction import Reproduction, ResultRow
 
 HEAD = ("number", "published", "ours", "95 % interval", "runs", "verdict", "why")
 
@@ -27,7 +27,7 @@ def rows(reproduction: Reproduction) -> list[tuple[str, ...]]:
     ]
 
 
-def _interval(one: Row) -> str:
+def _interval(one: ResultRow) -> str:
     return f"{one.ci95[0]:.4g} to {one.ci95[1]:.4g}"
 
 

@@ -6,6 +6,7 @@ Nothing is run here, so that every rule can be tried on numbers made up for it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import attrs
 import numpy as np
@@ -87,11 +88,16 @@ def three_times(paper: Paper, rmse: Rmse, rng: np.random.Generator) -> Claim:
 
 @attrs.frozen(eq=False)
 class Phases:
-    """Which steps are the start, go straight, or are a manoeuvre and its aftermath; ``(T,)`` each."""
+    """Which steps are the start, go straight, or are a manoeuvre and its aftermath; ``(T,)`` each, true or
+    false.
 
-    start: Array
-    straight: Array
-    manoeuvre: Array
+    ``lost`` are those where the bearings hardly cross, and their aftermath; they are in no phase.
+    """
+
+    start: Any
+    straight: Any
+    manoeuvre: Any
+    lost: Any
 
 
 def phases(t: Array, path: Array, stations: ArrayLike) -> Phases:
@@ -108,13 +114,13 @@ def phases(t: Array, path: Array, stations: ArrayLike) -> Phases:
     start = t <= t[0] + 0.1 * (t[-1] - t[0])
     manoeuvre = _and_after(t, rate > TURNING_RATE) & ~start
     straight = (rate < STRAIGHT_RATE) & ~manoeuvre & ~start
-    return Phases(start & ~lost, straight & ~lost, manoeuvre & ~lost)
+    return Phases(start & ~lost, straight & ~lost, manoeuvre & ~lost, lost)
 
 
-def _and_after(t: Array, when: Array) -> Array:
+def _and_after(t: Array, when: Any) -> Any:
     """The steps of ``when`` and those less than the lag after them: errors decay, they do not stop."""
     since = np.where(when & (t[:, None] >= t), t[:, None] - t, np.inf)
-    return np.asarray(since.min(axis=1) < LAG + 1e-9)
+    return since.min(axis=1) < LAG + 1e-9
 
 
 def start_floor_and_manoeuvre(

@@ -13,7 +13,7 @@ import numpy as np
 
 import tracker as tk
 from tracker.report.drawing import INK, PALETTE, QUIET
-from tracker.reproduction import Picture, Reading, Row
+from tracker.reproduction import Picture, Reading, ResultRow
 from tracker.types import Array
 from tracker_papers.gulf_to_oman import STATIONS, WAYPOINTS, along
 from tracker_papers.paper0.claims import Phases
@@ -33,7 +33,7 @@ RMSE = "RMSE of a run [scaled units]"
 
 
 def pictures(
-    rows: Sequence[Row],
+    rows: Sequence[ResultRow],
     spreads: Mapping[str, Sequence[Reading]],
     followed: Followed,
     parts: Phases,
@@ -84,7 +84,8 @@ def pictures(
             Picture(
                 f"figure_{number:02d}", f"Error against time, {TITLES[name]} and its smoother",
                 f"Thick: median over {followed.z.shape[-1]} runs, with the band of the middle 80 % of them; "
-                f"thin: run {one}. Shaded: the manoeuvre. (The printed captions of figures 7 to 9 repeat "
+                f"thin: run {one}. Shaded: the manoeuvre, and where the "
+                "bearings cross at less than 20\N{DEGREE SIGN}, each with 0.3 s of aftermath. (The printed captions of figures 7 to 9 repeat "
                 "those of 4 to 6; the text says that they are errors, eq. 36.)",
                 "Position error against time for filter and smoother, with bands.",
                 partial(error, followed, parts, one, name), str(number),
@@ -243,7 +244,7 @@ def geometry() -> Figure:
     )  # fmt: skip
     axes.text(x + 0.5 * vx - 0.1, y + 0.5 * vy + 0.05, "(vx, vy)", color=PALETTE[2], ha="right")
     axes.plot(x, y, "o", color=INK, markersize=7)
-    axes.annotate("ship (x, y)", (x, y), xytext=(-2, -20), textcoords="offset points", ha="center")
+    axes.annotate("ship (x, y)", (x, y), xytext=(6, -36), textcoords="offset points")
     _mark_stations(axes, STATIONS)
     axes.set(xlabel="x [scaled units]", ylabel="y [scaled units]", aspect="equal", xlim=(0.2, 5.1))
     axes.set(ylim=(-0.8, 2.1))
@@ -307,10 +308,14 @@ def error(followed: Followed, parts: Phases, run: int, name: str) -> Figure:
     picture = _figure()
     axes = picture.subplots()
     t = followed.scene.t
-    axes.fill_between(
-        t, 0.0, 1.0, where=parts.manoeuvre.tolist(), transform=axes.get_xaxis_transform(),
-        color=PALETTE[5], alpha=0.18, linewidth=0, label="manoeuvre",
-    )  # fmt: skip
+    for when, colour, words in (
+        (parts.manoeuvre, PALETTE[5], "manoeuvre"),
+        (parts.lost, QUIET, "bearings hardly cross"),
+    ):
+        axes.fill_between(
+            t, 0.0, 1.0, where=when.tolist(), transform=axes.get_xaxis_transform(),
+            color=colour, alpha=0.18, linewidth=0, label=words,
+        )  # fmt: skip
     for stage, colour in (("filter", FILTER), ("smoother", SMOOTHER)):
         errors = followed.errors[name][stage]
         words = TITLES[name] if stage == "filter" else f"{TITLES[name]} + RTS"
@@ -346,7 +351,7 @@ def run_by_run(campaign: tk.Campaign, stage: str, shown: int) -> Figure:
 
 
 # ---------------------------------------------------------------------------- what it suggests
-def table_1(rows: Sequence[Row], spreads: Mapping[str, Sequence[Reading]]) -> Figure:
+def table_1(rows: Sequence[ResultRow], spreads: Mapping[str, Sequence[Reading]]) -> Figure:
     """Published means and the ranges of every reading."""
     picture = _figure(8.0, 8.6)
     left, right = picture.subplots(1, 2)
@@ -443,7 +448,8 @@ def stations(
     track = np.asarray(followed.scene.path)
     left.plot(track[:, 0], track[:, 1], color=QUIET, label="true path")
     _mark_stations(left, MORE_STATIONS)
-    left.set(xlabel="x [scaled units]", ylabel="y [scaled units]", aspect="equal", xlim=(0.1, 5.7))
+    left.set(xlabel="x [scaled units]", ylabel="y [scaled units]", aspect="equal")
+    left.set(xlim=(0.1, 5.7), ylim=(-1.1, 3.1))
     left.legend(loc="lower left")
     counts = np.array(list(network))
     for name in METHODS:
@@ -472,20 +478,13 @@ def worth(campaign: tk.Campaign, cost: Mapping[str, int | None]) -> Figure:
         low, middle, high = np.nanpercentile(values, (10.0, 50.0, 90.0))
         colour = COLOURS[name.partition(" ")[0].rstrip(",")]
         hollow = "white" if name not in METHODS else colour
+        words = TITLES.get(name, name.replace("ekf2", "EKF2").replace("ukf", "UKF"))
         axes.errorbar(
             count, middle, yerr=((middle - low,), (high - middle,)), fmt="o", color=colour,
-            markerfacecolor=hollow, markersize=8, capsize=4,
+            markerfacecolor=hollow, markersize=8, capsize=4, label=words,
         )  # fmt: skip
-        words = TITLES.get(name, name.replace("ekf2", "EKF2").replace("ukf", "UKF"))
-        axes.annotate(
-            words,
-            (count, high),
-            xytext=(0, 5),
-            textcoords="offset points",
-            rotation=30,
-            fontsize=10,
-        )
     axes.set(yscale="log", xlabel="operations of a step, forwards and backwards", ylim=(0.03, 0.4))
-    axes.set(ylabel=f"{RMSE}, smoothed", xlim=(550, 2650))
+    axes.set(ylabel=f"{RMSE}, smoothed", xlim=(550, None))
     _plain(axes.yaxis, narrow=True)
+    axes.legend(loc="upper right")
     return picture

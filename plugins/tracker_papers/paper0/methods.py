@@ -12,8 +12,9 @@ import attrs
 import numpy as np
 
 import tracker as tk
-from tracker.compile.fuse import pack, unpack, vector
+from tracker.compile.fuse import vector
 from tracker.compile.program import Program, Rate
+from tracker.compile.values import pack, unpack
 from tracker.errors import TraceError
 from tracker.models.graph import needed
 from tracker.types import Array, Gaussian

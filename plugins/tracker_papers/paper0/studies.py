@@ -69,7 +69,7 @@ def crossing(angle: float) -> Scenario:
 def single_fix(angle: Array) -> Array:
     """RMS position error of one fix by two bearings that cross at an angle in degrees, same distances."""
     with np.errstate(divide="ignore"):
-        return SIGMA * np.hypot(FAR, NEAR) / np.abs(np.sin(np.deg2rad(angle)))
+        return np.asarray(SIGMA * np.hypot(FAR, NEAR) / np.abs(np.sin(np.deg2rad(angle))))
 
 
 def collinear_study(

@@ -17,7 +17,7 @@ from tracker.reproduction import (
     Published,
     Reading,
     Reproduction,
-    Row,
+    ResultRow,
     Table,
     paper_from_toml,
     row,
@@ -216,7 +216,7 @@ def _spreads(
 
 def _row(
     number: Published, campaign: tk.Campaign, readings: list[Reading], rng: np.random.Generator
-) -> Row:
+) -> ResultRow:
     _, method, stage = number.id.split("/")
     scores = campaign.scores[method][stage]
     values, diverged = scores.per_run["rmse"], scores.diverged
