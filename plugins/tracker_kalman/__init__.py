@@ -7,6 +7,7 @@ _HOME = {
     "ExtendedKalmanFilter": "ekf1",
     "FixedLagSmoother": "fixed_lag",
     "FixedPoint": "fixed_point",
+    "GaussianSumFilter": "gaussian_sum",
     "InteractingMultipleModels": "imm",
     "HuberUpdate": "huber",
     "InformationFilter": "information",

@@ -312,3 +312,14 @@ def tracker_components(registry: Registry) -> None:
             tags=("fixed-interval", "manoeuvre", "mixture"),
         )
     )
+    registry.add(
+        Component(
+            kind="filter",
+            name="gaussian_sum",
+            target="tracker_kalman.gaussian_sum:GaussianSumFilter",
+            summary="Gaussian sum: weighted filters side by side, split, pruned and merged.",
+            paper="Alspach and Sorenson 1972",
+            equations=("3.3-3.13",),
+            tags=("mixture", "nonlinear"),
+        )
+    )

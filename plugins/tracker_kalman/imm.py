@@ -9,11 +9,12 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.algebra import finite, mahalanobis, mix, without_missing
+from tracker.algebra import mix
 from tracker.errors import CapabilityError, wording
-from tracker.models import absolute, exp, isnan, less, log, maximum, one_of, where
+from tracker.models import absolute, exp, less, log, maximum, one_of, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection, Space
+from tracker_kalman.mixture import begun, chosen, innovation, made, together
 
 MISSING = ("zero", "prior", "common")
 """What a component is in a mode that lacks it; see `InteractingMultipleModels`."""
@@ -123,15 +124,6 @@ def filters_of(value: Any) -> tuple[Any, ...]:
     return tuple(made(one) for one in given)
 
 
-def made(value: Any, kind: str = "filter") -> Any:
-    """A component, or the registered one of that name."""
-    if not isinstance(value, str):
-        return value
-    from tracker.registry import default_registry
-
-    return default_registry().get(kind, value).make()
-
-
 @attrs.frozen
 class InteractingMultipleModels:
     """One filter per mode of a switching motion; before each prediction the modes' states are mixed.
@@ -216,7 +208,7 @@ class InteractingMultipleModels:
         initial = (1.0,) if count == 1 else motion.initial  # type: ignore[union-attr]
         circular = (False,) * n if motion is None else motion.space.circular
         members = tuple(
-            _begun(rule, part(prior, p))
+            begun(rule, part(prior, p))
             for rule, p in zip(self._of_each(count), places, strict=True)
         )
         if not prior.mean.dtype.hasobject:
@@ -274,7 +266,7 @@ class InteractingMultipleModels:
             ]
             start = _into(own, np.stack(weights), before, j)
             given = motion.inputs(j, u)  # type: ignore[attr-defined]
-            members.append(rule.predict(_begun(rule, start), mode, dt, given, t))
+            members.append(rule.predict(begun(rule, start), mode, dt, given, t))
         return attrs.evolve(before, members=tuple(members), probabilities=np.stack(after))
 
     # -------------------------------------------------------------------------- projection
@@ -320,25 +312,18 @@ class InteractingMultipleModels:
         rules, sensors = self._of_each(len(before.members)), _sensors(before, sensor)
         members, told = [], []
         for rule, member, one, its in zip(rules, before.members, sensors, seen, strict=True):
-            after, innovation = rule.update(member, one, z, pose, its)
+            after, alone = rule.update(member, one, z, pose, its)
             members.append(after)
-            told.append(innovation)
+            told.append(alone)
         if len(members) == 1:
             return attrs.evolve(before, members=tuple(members)), told[0]
         shown = projection if known else None
         zhat, S = (shown.z, shown.S) if shown else _together(seen, before.probabilities, sensor)
         for k, its in enumerate(told):
-            members[k] = _where_alive(less(absolute(its.loglik), math.inf), members[k])
+            members[k] = chosen(less(absolute(its.loglik), math.inf), members[k], 0.0)
         likelier, loglik = posterior(before.probabilities, [its.loglik for its in told])
-        sound = less(absolute(loglik), math.inf)
-        v = sensor.residual(z, zhat)
-        whole, _ = without_missing(S, seen[0].cross, v)
-        measured = np.stack([where(isnan(e), 0.0, e) for e in v])
-        nis = where(sound, mahalanobis(measured, whole), math.nan)
-        count = told[0].count
-        loglik = where(sound, where(less(0.0, count), loglik, 0.0), math.nan)
         done = attrs.evolve(before, members=tuple(members), probabilities=np.stack(likelier))
-        return done, Innovation(v, S, nis, loglik, count, finite(nis))
+        return done, innovation(sensor, z, zhat, S, loglik, told[0].count)
 
 
 # ------------------------------------------------------------------------------------- inside
@@ -369,38 +354,15 @@ def posterior(prior: Sequence[Any], logliks: Sequence[Any]) -> tuple[list[Any], 
     return shared, most + log(total)
 
 
-def _where_alive(alive: Any, belief: Any) -> Any:
-    """A mode's state, or zeros where it is lost: of weight zero, and soon to be mixed from others."""
-    if isinstance(belief, (tuple, list)):
-        return tuple(_where_alive(alive, part) for part in belief)
-    if isinstance(belief, np.ndarray):
-        if not belief.dtype.hasobject:
-            return belief if np.all(alive) else np.where(alive, belief, 0.0)
-        out = np.empty(belief.size, dtype=object)
-        out[:] = [where(alive, e, 0.0) for e in belief.ravel().tolist()]
-        return out.reshape(belief.shape)
-    if not attrs.has(type(belief)):
-        return belief
-    made = object.__new__(type(belief))
-    for field in attrs.fields(type(belief)):
-        part = _where_alive(alive, getattr(belief, field.name))
-        object.__setattr__(made, field.name, part)
-    return made
-
-
 def _together(seen: Sequence[Any], weights: Any, sensor: SensorModel) -> tuple[Any, Any]:
     """The predicted measurement and its covariance, over the modes."""
     z, S = np.stack([p.z for p in seen], axis=1), np.stack([p.S for p in seen], axis=2)
-    return mix(z, S, weights, sensor.space.circular)
+    return together(z, S, weights, sensor)
 
 
 def modes_of(motion: Any) -> tuple[Any, ...]:
     """The modes of a motion; one that does not switch has one."""
     return tuple(motion.modes) if hasattr(motion, "transition") else (motion,)
-
-
-def _begun(rule: Any, state: Gaussian) -> Any:
-    return rule.begin(state) if hasattr(rule, "begin") else state
 
 
 def _into(own: Sequence[Gaussian], weights: Any, before: ModeMixture, j: int) -> Gaussian:

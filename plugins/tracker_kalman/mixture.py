@@ -1,0 +1,81 @@
+"""What filters that keep several Gaussians do the same way; what makes each of them itself lives with it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import attrs
+import numpy as np
+
+from tracker.algebra import finite, mahalanobis, mix, without_missing
+from tracker.models import absolute, isnan, less, where
+from tracker.protocols import SensorModel
+from tracker.types import Innovation
+
+
+def made(value: Any, kind: str = "filter") -> Any:
+    """A component, or the registered one of that name."""
+    if not isinstance(value, str):
+        return value
+    from tracker.registry import default_registry
+
+    return default_registry().get(kind, value).make()
+
+
+def begun(rule: Any, state: Any) -> Any:
+    """A Gaussian as the kind of belief that a filter keeps."""
+    return rule.begin(state) if hasattr(rule, "begin") else state
+
+
+def chosen(condition: Any, belief: Any, other: Any) -> Any:
+    """A belief where the condition holds, lane by lane, and elsewhere another, or a number throughout.
+
+    Shapes:
+        condition ``(*batch)``; beliefs of the same kind and shapes.
+    """
+    if isinstance(belief, np.ndarray):
+        if not belief.dtype.hasobject:
+            return belief if np.all(condition) else np.where(condition, belief, other)
+        out = np.empty(belief.size, dtype=object)
+        others = other.ravel().tolist() if isinstance(other, np.ndarray) else [other] * belief.size
+        pairs = zip(belief.ravel().tolist(), others, strict=True)
+        out[:] = [where(condition, a, b) for a, b in pairs]
+        return out.reshape(belief.shape)
+    single = isinstance(other, float)
+    if isinstance(belief, tuple):
+        others = (other,) * len(belief) if single else other
+        return tuple(chosen(condition, a, b) for a, b in zip(belief, others, strict=True))
+    if not attrs.has(type(belief)):
+        return belief
+    new = object.__new__(type(belief))
+    for field in attrs.fields(type(belief)):
+        part = other if single else getattr(other, field.name)
+        part = chosen(condition, getattr(belief, field.name), part)
+        object.__setattr__(new, field.name, part)
+    return new
+
+
+def together(z: Any, S: Any, weights: Any, sensor: SensorModel) -> tuple[Any, Any]:
+    """The predicted measurement and its covariance, over all members.
+
+    Shapes:
+        z ``(m, K, *batch)``; S ``(m, m, K, *batch)``; weights ``(K, *batch)``.
+    """
+    return mix(z, S, weights, sensor.space.circular)
+
+
+def innovation(
+    sensor: SensorModel, z: Any, zhat: Any, S: Any, loglik: Any, count: Any
+) -> Innovation:
+    """The innovation of a mixture: NIS from its moments, the log-likelihood as it was found.
+
+    A lane whose log-likelihood is not finite is not ok.
+    """
+    v = sensor.residual(z, zhat)
+    whole, _ = without_missing(S, S, v)
+    measured = np.stack([where(isnan(e), 0.0, e) for e in v])
+    sound = less(absolute(loglik), math.inf)
+    nis = where(sound, mahalanobis(measured, whole), math.nan)
+    loglik = where(sound, where(less(0.0, count), loglik, 0.0), math.nan)
+    return Innovation(v, S, nis, loglik, count, finite(nis))
