@@ -10,15 +10,20 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import hashlib
+import heapq
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tracker.compile import objects
+from tracker.compile import elementary, objects
+from tracker.compile import program as program_
 from tracker.compile.program import BLOCK, WIDTH, Program, Rate
 from tracker.errors import ShapeError, wording
+from tracker.models import functions, graph
 from tracker.models.graph import Node, needed
 from tracker.types import Array
 
@@ -47,7 +52,8 @@ class _Writer:
     def __init__(
         self, rates: Mapping[int, Rate], program: Program, divisors: frozenset[int]
     ) -> None:
-        self.rates, self.program, self.divisors = rates, program, divisors
+        self.program, self.divisors = program, divisors
+        self.lanes = frozenset(i for i, rate in rates.items() if rate & Rate.LANE)
         self.lines: list[str] = []
         self.names: dict[int, str] = {}
         self.splats: dict[int, str] = {}
@@ -64,7 +70,7 @@ class _Writer:
         self.lines += lines
 
     def per_lane(self, node: Node) -> bool:
-        return node.op != "const" and bool(self.rates[node.index] & Rate.LANE)
+        return node.index in self.lanes
 
     def operand(self, node: Node, vector: bool) -> str:
         if node.op == "const":
@@ -173,6 +179,54 @@ class _Writer:
                 self.splat(node)
 
 
+# Cycles until a result can be used, roughly; what is not named takes four.
+_WAIT = {
+    "recip": 23, "sqrt": 23, "floor": 8, "exponent": 8, "pow2": 6, "input": 6, "less": 3, "isnan": 3,
+    "where": 2, "abs": 1, "neg": 1,
+}  # fmt: skip
+_AT_ONCE = 2
+"""Vector operations that begin in a cycle."""
+
+
+def _interleaved(nodes: Sequence[Node]) -> list[Node]:
+    """Nodes in an order in which nothing stands long before it can begin; the longest chain leads.
+
+    A processor looks only some hundred operations ahead, so what waits must not stand in a row.
+    """
+    users: dict[int, list[int]] = {n.index: [] for n in nodes}
+    missing: dict[int, int] = {}
+    for node in nodes:
+        before = {a.index for a in node.args if a.index in users}
+        missing[node.index] = len(before)
+        for index in before:
+            users[index].append(node.index)
+    wait = {n.index: _WAIT.get(n.op, 4) for n in nodes}
+    left: dict[int, int] = {}  # cycles from here to the end of the step
+    for node in reversed(nodes):
+        left[node.index] = wait[node.index] + max((left[u] for u in users[node.index]), default=0)
+    ready = dict.fromkeys(users, 0.0)
+    coming = [(0.0, i) for i in users if not missing[i]]
+    able: list[tuple[int, int]] = []
+    order: list[int] = []
+    now = 0.0
+    while coming or able:
+        if not able:
+            now = max(now, coming[0][0])
+        while coming and coming[0][0] <= now:
+            index = heapq.heappop(coming)[1]
+            heapq.heappush(able, (-left[index], index))
+        index = heapq.heappop(able)[1]
+        order.append(index)
+        for user in users[index]:
+            missing[user] -= 1
+            ready[user] = max(ready[user], now + wait[index])
+            if not missing[user]:
+                heapq.heappush(coming, (ready[user], user))
+        now += 1 / _AT_ONCE
+    by_index = {n.index: n for n in nodes}
+    return [by_index[i] for i in order]
+
+
 def _divisors(low: Program, order: Sequence[Node], rates: Mapping[int, Rate]) -> frozenset[int]:
     """Reciprocals of which one product is all that becomes: a division is as fast, and exact."""
     users: dict[int, list[Node]] = {}
@@ -279,7 +333,7 @@ def emit(program: Program) -> str:
     common = [n for n in now if shared(n)]
     scalars = [n for n in common if rates[n.index] == Rate.STEP]
     w.section(scalars, per_step, splat)
-    w.section([n for n in common if rates[n.index] == Rate.BOTH], per_step, splat)
+    w.section(_interleaved([n for n in common if rates[n.index] == Rate.BOTH]), per_step, splat)
 
     def outputs(variant: int) -> list[str]:
         for name, nodes in low.histories[variant].items():
@@ -310,7 +364,9 @@ def emit(program: Program) -> str:
             w.label(f"variant.{v}:")
             own = [n for n in now if not shared(n) and n.index in users[v]]
             w.section([n for n in own if rates[n.index] == Rate.STEP], per_step, splat)
-            w.section([n for n in own if rates[n.index] == Rate.BOTH], per_step, splat)
+            w.section(
+                _interleaved([n for n in own if rates[n.index] == Rate.BOTH]), per_step, splat
+            )
             ends.append(outputs(v))
             w.label("  br label %step.end")
         w.label("step.end:")
@@ -348,6 +404,41 @@ def emit(program: Program) -> str:
     return "\n".join([*head, *w.lines]) + "\n"
 
 
+def fingerprint(program: Program) -> str:
+    """A hash of all that the text of a program follows from, known without emitting it.
+
+    The emitter is part of it, by its sources; where they cannot be read, the answer is ''.
+    """
+    emitter = _emitter()
+    if not emitter:
+        return ""
+    kinds = program.next, program.histories, program.curves, program.fed
+    outputs = [
+        [(name, [n.index for n in nodes]) for name, nodes in group.items()]
+        for kind in kinds
+        for group in kind
+    ]
+    delays = [(name, len(nodes), steps) for name, (nodes, steps) in program.delays.items()]
+    carried = [(name, len(nodes)) for name, nodes in program.states.items()]
+    given = [(name, count, int(rate)) for name, (count, rate) in program.inputs.items()]
+    parts = [emitter, repr((program.backward, program.variants, given, carried, delays, outputs))]
+    nodes = needed([n for v in range(program.variants) for n in program.roots(v)])
+    parts += [f"{n.index} {n.op} {n.value!r} {[a.index for a in n.args]}" for n in nodes]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+@functools.cache
+def _emitter() -> str:
+    """A hash of the sources that turn a program into text, or ''."""
+    digest = hashlib.sha256(np.__version__.encode())  # it folds constants
+    try:
+        for source in (__file__, *(m.__file__ for m in (program_, elementary, graph, functions))):
+            digest.update(Path(str(source)).read_bytes())
+    except OSError:
+        return ""
+    return digest.hexdigest()
+
+
 def _fits(name: str, array: Array | None, shape: tuple[int, ...]) -> None:
     """Refuse an array that the code would address wrongly."""
     good = array is not None and array.shape == shape and array.dtype == np.float64
@@ -372,8 +463,7 @@ class Kernel:
 
     def __init__(self, program: Program) -> None:
         self.program = program
-        self.text = emit(program)
-        self._machine = objects.compiled(self.text)
+        self._machine = objects.compiled(lambda: emit(program), fingerprint(program))
         self._arguments = list(program.shapes(1, 1))
         prototype = ctypes.CFUNCTYPE(
             None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * len(self._arguments)

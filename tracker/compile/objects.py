@@ -1,8 +1,9 @@
 """LLVM text to machine code, and the cache of object files; a cache entry is never trusted blindly.
 
-The cache folder belongs to the user alone (mode 0700). An entry is named by a hash of text, CPU,
-features and versions, and holds a hash of its own bytes: one that is damaged, truncated, foreign or
-swapped is compiled again. Whatever goes wrong with the folder, the answer is to compile.
+The cache folder belongs to the user alone (mode 0700). An entry is named by a hash of text (or of
+what it follows from), CPU, features and versions, and holds a hash of its own bytes: one that is
+damaged, truncated, foreign or swapped is compiled again. Whatever goes wrong with the folder, the
+answer is to compile.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 import stat
 import sys
 import tempfile
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -94,8 +96,11 @@ def report() -> list[tuple[str, str]]:
 _FEATURES = ("avx512f", "avx2", "fma", "avx", "sse4.2", "sve", "neon")
 
 
-def compiled(text: str) -> Machine:
+def compiled(text: str | Callable[[], str], name: str = "") -> Machine:
     """Machine code for an LLVM text, from the cache if it is there.
+
+    A text that takes time to write may be given as a function, beside a name that tells it from
+    any other: it is called if the cache does not know the name.
 
     Raises:
         PluginError: if llvmlite is not installed.
@@ -113,14 +118,17 @@ def compiled(text: str) -> Machine:
     target = llvm.Target.from_default_triple().create_target_machine(
         cpu=cpu, features=features, opt=2
     )
-    parts = (text, cpu, features, llvmlite.__version__, ".".join(map(str, llvm.llvm_version_info)))
+    if not name:
+        text = name = text if isinstance(text, str) else text()
+    parts = (name, cpu, features, llvmlite.__version__, ".".join(map(str, llvm.llvm_version_info)))
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     base = folder()
     path = None if base is None else base / f"{key}.o"
     code = None if path is None else _read(path, key)
     cached = code is not None
     if code is None:
-        code = target.emit_object(llvm.parse_assembly(text))
+        written = text if isinstance(text, str) else text()
+        code = target.emit_object(llvm.parse_assembly(written))
         if path is not None:
             _write(path, key, code)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
