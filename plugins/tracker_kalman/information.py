@@ -27,6 +27,7 @@ from tracker.models import isnan, where
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import SYMMETRIC, Gaussian, Innovation, Projection, brief
+from tracker_kalman.inner import names
 
 
 @attrs.frozen(eq=False)
@@ -50,9 +51,10 @@ class InformationState:
 class InformationFilter:
     """The first-order filter that carries information, to which a measurement simply adds.
 
-    A start from nothing is exact: ``InformationState(zeros, zeros)`` as prior. Until measurements
-    have determined every component the moments are NaN and ``ok`` is False; models must be linear
-    until then, because there is no mean to linearise about. Predictions need the inverse of F, which
+    A start from nothing is exact: of the components named in ``unknown`` (all of them, if you like)
+    the prior tells nothing, whatever it says. Until measurements have determined every component the
+    moments are NaN and ``ok`` is False; models must be linear until then, because there is no mean to
+    linearise about. Predictions need the inverse of F, which
     every motion in continuous time has. A covariance of condition c costs log10(c) digits where it is
     turned into information: prefer "square_root" for those.
 
@@ -61,14 +63,27 @@ class InformationFilter:
     Laws: those of kind "filter"; from no information it is the least-squares solution.
     """
 
+    unknown: tuple[str, ...] = attrs.field(default=(), converter=names)
+
     needs = ("jacobian",)
 
-    def begin(self, prior: Gaussian | InformationState) -> InformationState:
-        """The information in a prior whose covariance is not singular."""
+    def begin(
+        self, prior: Gaussian | InformationState, motion: MotionModel | None = None
+    ) -> InformationState:
+        """The information in a prior, which must not be singular, about what is not ``unknown``."""
         if isinstance(prior, InformationState):
             return prior
-        matrix = inverse(prior.cov)
-        return InformationState(apply(matrix, prior.mean), matrix)
+        if not self.unknown or motion is None:
+            matrix = inverse(prior.cov)
+            return InformationState(apply(matrix, prior.mean), matrix)
+        without = motion.space.indices(*self.unknown)
+        known = np.array([i for i in range(len(prior.mean)) if i not in without], dtype=np.intp)
+        vector, matrix = _origin(prior.mean), _origin(prior.cov)
+        if len(known):
+            block = known[:, None], known
+            matrix[block] = inverse(prior.cov[block])
+            vector[known] = apply(matrix[block], prior.mean[known])
+        return InformationState(vector, matrix)
 
     def predict(
         self, state: InformationState, motion: MotionModel, dt: Any, u: Any = None, t: Any = None

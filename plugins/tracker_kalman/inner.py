@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from tracker.errors import CapabilityError, DomainError, wording
@@ -31,6 +32,11 @@ def gaussian_filter(value: Any) -> Any:
             )
         )
     return value
+
+
+def names(value: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of components, from one of them or several."""
+    return (value,) if isinstance(value, str) else tuple(value)
 
 
 def at_least(least: int, owner: str) -> Any:

@@ -10,11 +10,7 @@ import numpy as np
 from tracker.algebra.gaussian import conditioned
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.inner import gaussian_filter
-
-
-def _names(value: Any) -> tuple[str, ...]:
-    return (value,) if isinstance(value, str) else tuple(value)
+from tracker_kalman.inner import gaussian_filter, names
 
 
 @attrs.frozen
@@ -38,7 +34,7 @@ class SchmidtFilter:
         that of the errors, whatever the bias is drawn to be.
     """
 
-    considered: tuple[str, ...] = attrs.field(default=(), converter=_names)
+    considered: tuple[str, ...] = attrs.field(default=(), converter=names)
     inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
 
     @property
