@@ -52,6 +52,39 @@ def filterpy_ekf(
     return run
 
 
+def filterpy_ukf(
+    z: Any, x0: Any, P0: Any, *, stations: Any, dt: float, density: float, sigma: float
+) -> Run:
+    """filterpy: UnscentedKalmanFilter with Merwe's points, alpha 1, beta 2, kappa 0; azimuths as directions."""
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+    F = transition(dt)
+
+    def h(x: Any) -> Any:
+        return np.array([np.arctan2(x[1] - sy, x[0] - sx) for sx, sy in stations])
+
+    def difference(a: Any, b: Any) -> Any:
+        return (a - b + math.pi) % TAU - math.pi
+
+    def mean(points: Any, weights: Any) -> Any:
+        return points[0] + weights @ difference(points, points[0])
+
+    def run() -> Any:
+        points = MerweScaledSigmaPoints(4, alpha=1.0, beta=2.0, kappa=0.0)
+        ukf = UnscentedKalmanFilter(4, 2, dt, hx=h, fx=lambda x, _dt: F @ x, points=points)
+        ukf.residual_z, ukf.z_mean = difference, mean
+        ukf.x, ukf.P = np.array(x0), np.array(P0)
+        ukf.Q, ukf.R = white_acceleration(dt, density), sigma**2 * np.eye(2)
+        means = np.empty((len(z), 4))
+        for k in range(len(z)):
+            ukf.predict()
+            ukf.update(z[k])
+            means[k] = ukf.x
+        return means
+
+    return run
+
+
 def filterpy_smoother(
     z: Any, x0: Any, P0: Any, *, dt: float, density: float, sigma: float
 ) -> tuple[Run, Run]:
@@ -169,6 +202,53 @@ def dynamax_ekf(
         return done.filtered_means, done.marginal_loglik
 
     compiled = jax.jit(one if np.ndim(z) == 2 else jax.vmap(one))
+    given = [jnp.array(a) for a in (z, x0, P0)]
+
+    def run() -> Any:
+        return jax.block_until_ready(compiled(*given))[0]
+
+    return run
+
+
+def dynamax_ukf(
+    z: Any, x0: Any, P0: Any, *, stations: Any, dt: float, density: float, sigma: float
+) -> Run:
+    """dynamax: unscented_kalman_filter of many runs by vmap, compiled; alpha 1, beta 2, kappa 0.
+
+    Shapes:
+        z ``(runs, T, 2)``, x0 and P0 ``(runs, ...)``. Returns the means ``(runs, T, 4)``.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import jax.numpy as jnp
+    from dynamax.nonlinear_gaussian_ssm import (
+        ParamsNLGSSM,
+        UKFHyperParams,
+        unscented_kalman_filter,
+    )
+
+    F, Q = jnp.array(transition(dt)), jnp.array(white_acceleration(dt, density))
+    R = sigma**2 * jnp.eye(2)
+    points = UKFHyperParams(alpha=1.0, beta=2.0, kappa=0.0)
+
+    def h(x: Any) -> Any:
+        return jnp.array([jnp.arctan2(x[1] - sy, x[0] - sx) for sx, sy in stations])
+
+    def one(z: Any, x0: Any, P0: Any) -> Any:
+        parameters = ParamsNLGSSM(  # its prior is that of the first measurement
+            initial_mean=F @ x0,
+            initial_covariance=F @ P0 @ F.T + Q,
+            dynamics_function=lambda x: F @ x,
+            dynamics_covariance=Q,
+            emission_function=h,
+            emission_covariance=R,
+        )
+        kept = ["filtered_means", "marginal_loglik"]
+        done = unscented_kalman_filter(parameters, z, points, output_fields=kept)
+        return done.filtered_means, done.marginal_loglik
+
+    compiled = jax.jit(jax.vmap(one))
     given = [jnp.array(a) for a in (z, x0, P0)]
 
     def run() -> Any:

@@ -24,6 +24,7 @@ if __name__ == "__main__" and "--here" not in sys.argv:
     environment.enter()
 
 import common
+import family
 import handwritten
 import measure
 import numpy as np
@@ -289,6 +290,7 @@ def imports() -> None:
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "targets": targets.targets,
+    "family": family.family,
     "sweeps": sweeps.sweeps,
     "monte_carlo": monte_carlo,
     "online": online,

@@ -1,0 +1,175 @@
+"""The whole family of filters and smoothers beside EKF1, and beside the libraries that have them.
+
+Costs are of the scored steps of 1,000 runs x 500 steps on two bearings (n = 4, m = 2), simulation left
+out; of particle filters and of other libraries, of one run. What is expected is written as a verdict.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import measure
+import numpy as np
+import peers
+from common import (
+    MICRO,
+    NANO,
+    PROBLEM,
+    RUNS,
+    SEED,
+    STATIONS,
+    STEPS,
+    agreed,
+    compiled,
+    one_run,
+    optional,
+    report,
+    table,
+)
+from targets import Verdict
+
+import tracker as tk
+from tracker.compile import run
+from tracker_motion import constant_velocity, switching
+
+FAMILY: dict[str, tuple[str, dict[str, Any], str | None]] = {
+    "ekf1": ("ekf1", {}, None),
+    "ekf1 + rts": ("ekf1", {}, "rts"),
+    "ekf2": ("ekf2", {}, None),
+    "iekf": ("iekf", {}, None),
+    "square_root": ("square_root", {}, None),
+    "information": ("information", {}, None),
+    "ukf": ("ukf", {}, None),
+    "ukf_symmetric": ("ukf_symmetric", {}, None),
+    "ukf_general, kappa -1": ("ukf_general", {"kappa": -1.0}, None),
+    "ukf + rts": ("ukf", {}, "rts"),
+    "ukf_square_root": ("ukf_square_root", {}, None),
+    "ckf5": ("ckf5", {}, None),
+    "ghkf": ("ghkf", {}, None),
+    "huber": ("huber", {}, None),
+    "student_t": ("student_t", {}, None),
+}
+WANTED = {
+    "ekf1 + rts": 4.0,
+    "ekf2": 2.0,
+    "ukf": 4.0,
+    "ukf_symmetric": 4.0,
+    "imm of three models": 8.0,
+}
+DYNAMAX_UKF, PARTICLES_US = 25.0, 80.0
+
+
+def family() -> None:
+    """Every filter of the family beside EKF1, filterpy, Stone Soup and dynamax."""
+    compiled("on")
+    scene = tk.scenario("two_stations", steps=STEPS)
+    simulation = scene.simulate(SEED, RUNS)
+    works: dict[str, Callable[[], Any]] = {}
+    for label, (name, options, smoother) in FAMILY.items():
+        works[label] = _scored(
+            tk.estimator(
+                tk.filters.make(name, **options),
+                motion=scene.motion,
+                sensor=scene.sensor,
+                smoother=smoother,
+            ),
+            simulation,
+        )
+    stay = 0.9
+    motion = switching(
+        [constant_velocity(density) for density in (0.01, 0.1, 1.0)],
+        stay * np.eye(3) + (1.0 - stay) / 2.0 * (1.0 - np.eye(3)),
+    )
+    works["imm of three models"] = _scored(
+        tk.estimator("imm", motion=motion, sensor=scene.sensor), simulation
+    )
+    per = dict.fromkeys(works, RUNS * STEPS)
+    theirs, counts = _peers(scene, simulation)
+    seconds = measure.interleaved(works | theirs)
+    report(seconds, per | counts, NANO, "ns a step and run")
+
+    verdicts = [
+        Verdict(f"{label} / ekf1", _times(seconds, label, "ekf1"), most, at_least=False)
+        for label, most in WANTED.items()
+    ]
+    if "dynamax ukf, vmap" in theirs:
+        found = _times(seconds, "dynamax ukf, vmap", "ukf")
+        verdicts.append(Verdict("dynamax ukf, vmap / ukf", found, DYNAMAX_UKF, at_least=True))
+    for label, ours in (("filterpy ukf", "ukf"), ("filterpy ekf", "ekf1")):
+        if label in theirs:
+            found = measure.ratio(seconds[label], seconds[ours]) * RUNS
+            print(f"  {label}, one run / {ours}: {found:,.0f} times")
+    verdicts += _particles()
+    rows = [verdict.cells() for verdict in verdicts]
+    table("Verdicts", ("", "found", "wanted", ""), rows)
+
+
+def _times(seconds: Any, slow: str, fast: str) -> float:
+    return measure.ratio(seconds[slow], seconds[fast])
+
+
+def _scored(estimator: Any, simulation: Any) -> Callable[[], Any]:
+    why = run.reason(estimator)
+    if why:
+        raise SystemExit(f"{type(estimator.filter).__name__} runs on arrays: {why}")
+    given = (simulation.record, simulation.prior, simulation.start, simulation.truth)
+    return lambda: run.scored(estimator, *given)
+
+
+def _peers(scene: Any, simulation: Any) -> tuple[dict[str, Callable[[], Any]], dict[str, int]]:
+    """The peers' versions, after each was found to agree with ours."""
+    problem = {"stations": STATIONS, **PROBLEM}
+    z, mean, cov = one_run(simulation)
+    history = {
+        name: tk.filter(
+            tk.estimator(name, motion=scene.motion, sensor=scene.sensor),
+            simulation.record,
+            simulation.prior,
+            start=simulation.start,
+        ).filtered.mean
+        for name in ("ekf1", "ukf")
+    }
+    works: dict[str, Callable[[], Any]] = {}
+    counts: dict[str, int] = {}
+    for label, make, ours in (
+        ("filterpy ekf", peers.filterpy_ekf, "ekf1"),
+        ("filterpy ukf", peers.filterpy_ukf, "ukf"),
+    ):
+        made = optional(label, functools.partial(make, z, mean, cov, **problem))
+        if made is not None:
+            agreed(label, history[ours][..., 0], made())
+            works[label], counts[label] = made, STEPS
+    lanes_first = (
+        np.moveaxis(simulation.record.z, -1, 0),
+        np.broadcast_to(np.moveaxis(simulation.prior.mean.reshape(4, -1), -1, 0), (RUNS, 4)),
+        np.broadcast_to(np.moveaxis(simulation.prior.cov.reshape(4, 4, -1), -1, 0), (RUNS, 4, 4)),
+    )
+    made = optional("dynamax", lambda: peers.dynamax_ukf(*lanes_first, **problem))
+    if made is not None:
+        # It cannot be told that azimuths wrap, and adds 1e-9 to variances before it divides by them.
+        turned = (np.abs(np.diff(simulation.record.z, axis=0)) > np.pi).any(axis=(0, 1))
+        ours, found = np.moveaxis(history["ukf"], -1, 0)[~turned], made()[~turned]
+        near = np.abs(ours - found).max(axis=(1, 2)) < 1e-3
+        agreed(f"dynamax ukf, {near.sum()} of {len(near)} runs", ours[near], found[near], 1e-3)
+        works["dynamax ukf, vmap"], counts["dynamax ukf, vmap"] = made, RUNS * STEPS
+    return works, counts
+
+
+def _particles() -> list[Verdict]:
+    """The bootstrap filter of 1,000 particles on one run."""
+    scene = tk.scenario("two_stations", steps=STEPS)
+    simulation = scene.simulate(SEED, 1)
+    estimator = tk.estimator("bootstrap", motion=scene.motion, sensor=scene.sensor)
+    record = tk.Record(simulation.record.t, simulation.record.z[..., 0])
+    label = "bootstrap, 1,000 particles, one run"
+
+    def work() -> Any:
+        rng = np.random.default_rng(SEED)
+        return tk.filter(estimator, record, simulation.prior[0], start=simulation.start, rng=rng)
+
+    seconds = measure.interleaved({label: work}, 7)
+    report(seconds, {label: STEPS}, MICRO, "us a step")
+    found = float(np.median(seconds[label])) / STEPS * MICRO
+    return [Verdict(label, found, PARTICLES_US, at_least=False, unit="us")]
