@@ -19,8 +19,16 @@ from tracker import estimation
 from tracker.compile import run as compiled
 from tracker.errors import CapabilityError, ConfigError, DomainError, UnknownComponent, wording
 from tracker.estimation import Estimator
-from tracker.metrics.consistency import Band, Interval, chi_square_band, mean_interval, nees
+from tracker.metrics.consistency import (
+    Band,
+    Interval,
+    chi_square_band,
+    chi_square_point,
+    mean_interval,
+    nees,
+)
 from tracker.metrics.errors import error, squared_position_error
+from tracker.metrics.observability import blind_spots, scenario_observability
 from tracker.recursion import is_random
 from tracker.simulation import Scenario, Simulation, stream
 from tracker.types import Array, History, brief
@@ -32,7 +40,19 @@ DIVERGED = 10.0
 """A run has diverged if its final error exceeds this many times the median final error."""
 
 PER_STEP = ("squared_error", "nees", "nis", "count", "finite")
-PER_RUN = ("rmse", "final_error", "nees", "nis", "count", "loglik")
+PER_RUN = (
+    "rmse",
+    "final_error",
+    "final_nees",
+    "final_sigma",
+    "nees",
+    "nis",
+    "count",
+    "loglik",
+)
+
+TAIL = 0.99
+"""A consistent run's final NEES lies below the point of chi-square that is passed with 1 % probability."""
 
 
 # --------------------------------------------------------------------------------- the scores
@@ -101,6 +121,14 @@ class Scores:
         return float(np.mean(inside)) if inside else np.nan
 
     @property
+    def final_share(self) -> float:
+        """Share of runs whose final NEES is above its 99 % point, or not finite; 0.01 if consistent."""
+        final = self.per_run.get("final_nees")
+        if final is None:
+            return np.nan
+        return float(np.mean(~(final <= chi_square_point(TAIL, self.n))))
+
+    @property
     def mean_nis(self) -> float:
         """NIS divided by its degrees of freedom, over all finite runs and steps; 1 if consistent."""
         good = np.isfinite(self.per_run["nis"])
@@ -124,6 +152,8 @@ class Campaign:
     scores: Mapping[str, Mapping[str, Scores]] = attrs.field(repr=_keys)
     sources: Mapping[str, str] = attrs.field(factory=dict, repr=False)
     seconds: Mapping[str, float] = attrs.field(factory=dict, repr=False)
+    blind: Any = attrs.field(default=(), repr=False)
+    """The scenario, whose blind spots are looked for when asked; or, from a file, their words."""
 
     # -------------------------------------------------------------------------- in words
     def rows(self) -> list[dict[str, Any]]:
@@ -145,6 +175,7 @@ class Campaign:
                         "p90": ninety,
                         "nees": scores.mean_nees,
                         "nees_share": scores.nees_share,
+                        "final_share": scores.final_share,
                         "nis": np.nan if smooth else scores.mean_nis,
                         "diverged": int(scores.diverged.sum()),
                     }
@@ -199,6 +230,13 @@ class Campaign:
         title = f"{self.scenario}: {self.runs} runs, {len(self.t)} steps, seed {self.seed}"
         return "\n".join([title, *lines, *(f"Warning: {w}" for w in self.warnings(*wanted))])
 
+    @property
+    def unobservable(self) -> tuple[str, ...]:
+        """What the record tells no estimator, in words; see `tracker.metrics.observability`."""
+        if isinstance(self.blind, tuple):
+            return self.blind
+        return tuple(blind_spots(scenario_observability(self.blind, seed=self.seed)))
+
     def warnings(self, *metrics: str) -> list[str]:
         """What a person should be told before trusting these numbers; empty if nothing."""
         out = []
@@ -212,13 +250,19 @@ class Campaign:
                     f"{label} is {word}: mean NEES is {ratio:.3g} times what a consistent estimator "
                     f"has, and inside its band at only {row['nees_share']:.0%} of the steps."
                 )
+            tail = row["final_share"]
+            if "nees" in (metrics or ("nees",)) and _too_often(tail, self.runs):
+                out.append(
+                    f"{label} is overconfident in {tail:.1%} of the runs: there the final NEES is above "
+                    f"its {TAIL:.0%} point, which a consistent estimator passes in {1 - TAIL:.0%}."
+                )
             if "diverged" in (metrics or ("diverged",)) and row["diverged"]:
                 out.append(
                     f"{label} diverged in {row['diverged']} of {self.runs} runs (final error above "
                     f"{DIVERGED:g} times the median, or not finite), {int(scores.unaware.sum())} of "
                     "them without knowing it (NEES of the run above 3 n): read medians, not means."
                 )
-        return out
+        return out + [f"{self.scenario}: {words}" for words in self.unobservable]
 
     def __str__(self) -> str:
         return self.summary()
@@ -267,9 +311,20 @@ class Campaign:
             "runs": self.runs,
             "stages": stages,
             "sources": dict(self.sources),
+            "unobservable": list(self.unobservable),
         }
         save_arrays(Path(path), arrays, metadata)
         return Path(path)
+
+
+def _too_often(share: float, runs: int) -> bool:
+    """Whether a share of runs beyond `TAIL` is more than three times what it should be, and no chance.
+
+    False alarm: five standard deviations, less than 1 in 1,000 campaigns of a consistent estimator.
+    """
+    expected = 1.0 - TAIL
+    spread = np.sqrt(expected * TAIL / runs)
+    return bool(share > 3.0 * expected and share > expected + 5.0 * spread)
 
 
 def load_campaign(path: str | Path) -> Campaign:
@@ -296,7 +351,8 @@ def load_campaign(path: str | Path) -> Campaign:
         prefix = f"{names.index(name)}/{stage}"
         scores[name][stage] = Scores(
             n,
-            {k: arrays[f"{prefix}/run/{k}"] for k in PER_RUN},
+            # a file of an older version knows less
+            {k: arrays[at] for k in PER_RUN if (at := f"{prefix}/run/{k}") in arrays},
             {k: arrays[f"{prefix}/step/{k}"] for k in PER_STEP},
         )
     return Campaign(
@@ -306,6 +362,7 @@ def load_campaign(path: str | Path) -> Campaign:
         arrays["t"],
         scores,
         metadata["sources"],
+        blind=tuple(metadata.get("unobservable", ())),
     )
 
 
@@ -381,6 +438,7 @@ def monte_carlo(
         scores,
         {k: v.cite() for k, v in named.items()},
         {k: sum(seconds[k] for _, seconds in done) for k in named},
+        scenario,
     )
 
 
@@ -474,7 +532,9 @@ def _from_sums(sums: compiled.Sums, steps: int) -> _Reduced:
     nis, count, loglik = filtered or nothing
     per_run = {
         "rmse": np.sqrt(squared / steps),
-        "final_error": np.sqrt(sums.final),
+        "final_error": np.sqrt(sums.final[0]),
+        "final_nees": sums.final[1],
+        "final_sigma": np.sqrt(sums.final[2]),
         "nees": score / steps,
         "nis": nis,
         "count": count,
@@ -506,6 +566,8 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
         per_run = {
             "rmse": np.sqrt(_time_mean(squared)),
             "final_error": np.sqrt(squared[-1]),
+            "final_nees": score[-1],
+            "final_sigma": np.sqrt(sum(estimate.cov[-1, i, i] for i in space.position)),
             "nees": _time_mean(score),
             "nis": _time_sum(nis),
             "count": _time_sum(count),

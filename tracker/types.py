@@ -760,13 +760,23 @@ class Beliefs:
 
 
 @attrs.frozen(eq=False)
+class Run:
+    """What a history came from: an estimator, a record, the prior and its time, or None for t[0]."""
+
+    estimator: Any
+    record: Record
+    prior: Any
+    start: float | None
+
+
+@attrs.frozen(eq=False)
 class History:
-    """What a run leaves behind: everything a smoother needs, and nothing else.
+    """What a run leaves behind: everything a smoother needs, and where it came from.
 
     Shapes:
         t ``(T,)`` or ``(T, *batch)``; predicted, filtered, smoothed: trajectories; innovation with
         a leading time axis; u ``(T, q, *batch)`` the inputs that were used, or None; beliefs, where
-        the estimator's smoother needs them ("beliefs").
+        the estimator's smoother needs them ("beliefs"); run, what it came from, or None.
     """
 
     t: Array = attrs.field(repr=brief)
@@ -776,11 +786,24 @@ class History:
     smoothed: Trajectory | None = None
     u: Array | None = attrs.field(default=None, repr=brief)
     beliefs: Beliefs | None = attrs.field(default=None, repr=False)
+    run: Run | None = attrs.field(default=None, repr=False)
 
     @property
     def estimate(self) -> Trajectory:
         """The smoothed trajectory where there is one, else the filtered one."""
         return self.filtered if self.smoothed is None else self.smoothed
+
+    def summary(self) -> str:
+        """Consistency, whiteness and observability, and what a person should conclude from them."""
+        from tracker.metrics.health import summary
+
+        return summary(self)
+
+    def warnings(self) -> list[str]:
+        """What a person should be told before trusting this run; empty if nothing."""
+        from tracker.metrics.health import warnings
+
+        return warnings(self)
 
     def __len__(self) -> int:
         return len(self.filtered)

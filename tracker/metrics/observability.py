@@ -13,7 +13,7 @@ import attrs
 import numpy as np
 
 from tracker.algebra import at_once, dense, factor, transpose, whiten
-from tracker.errors import ShapeError, wording
+from tracker.errors import ShapeError, TrackerError, wording
 from tracker.models.linearise import linearise
 from tracker.types import Array, Space, brief
 
@@ -187,6 +187,7 @@ def observability(
         half = np.einsum("ji...,jk...->ik...", root, information)
         ratios, vectors = _eigen(np.einsum("ik...,kj...->ij...", half, root))
         directions = np.einsum("ij...,jk...->ik...", root, vectors)
+        ratios, directions = _known_last(ratios, directions)
         sight = _along_sight(motion.space, models, which, pose, path, Phi, directions)
     whole = np.broadcast_to(_lanes(scale, len(batch)), information.shape)
     return Observability(motion.space, information, whole, ratios, directions, sight)
@@ -290,6 +291,56 @@ def _eigen(matrix: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(np.where(finite[..., None, None], stacked, 0.0))
     values = np.where(finite[..., None], values, np.nan)
     return np.moveaxis(values, -1, 0), np.moveaxis(vectors, (-2, -1), (0, 1))
+
+
+def _known_last(ratios: Array, directions: Array) -> tuple[Array, Array]:
+    """What the scale already knows exactly needs no measurement: its ratio is infinite."""
+    known = (np.abs(directions) == 0.0).all(axis=0)
+    if not known.any():
+        return ratios, directions
+    ratios = np.where(known, np.inf, ratios)
+    order = np.argsort(ratios, axis=0)
+    return (
+        np.take_along_axis(ratios, order, axis=0),
+        np.take_along_axis(directions, np.broadcast_to(order, directions.shape), axis=1),
+    )
+
+
+def scenario_observability(scenario: Any, runs: int = 8, seed: int = 0) -> Observability | None:
+    """Of a scenario's record, along the noise-free paths from where some runs start.
+
+    A scenario whose target follows a given path is judged along that path. None if a model has no
+    derivatives.
+    """
+    motion = scenario.truth_motion or scenario.motion
+    made = scenario.simulate(seed, runs if scenario.path is None else 1)
+    path = np.array(made.truth)
+    try:
+        if scenario.path is None:
+            with at_once():
+                for k in range(1, len(path)):
+                    before = scenario.t[k - 1]
+                    path[k] = motion.f(path[k - 1], scenario.t[k] - before, None, before)
+        return observability(
+            motion,
+            scenario.sensor,
+            scenario.t,
+            path,
+            scenario.prior.cov,
+            pose=scenario.pose,
+            measured=~np.isnan(made.record.z),
+        )
+    except (TrackerError, AttributeError, TypeError, ValueError):
+        return None  # no derivatives, or a model that does not take many times at once
+
+
+def blind_spots(found: Observability | None) -> list[str]:
+    """What most lanes cannot see, in the words of the first of them; empty if nothing."""
+    if found is None:
+        return []
+    lanes = list(np.ndindex(*found.ratios.shape[1:]))
+    told = [words for lane in lanes if (words := found.words(lane))]
+    return list(told[0]) if 2 * len(told) > len(lanes) else []
 
 
 def sensor_place(sensor: Any, pose: Any, space: Space) -> Any:

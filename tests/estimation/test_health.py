@@ -1,0 +1,268 @@
+"""What a run and a campaign say of themselves: whiteness, observability, and warnings in words."""
+
+import attrs
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+import tracker as tk
+from tracker.metrics.consistency import whiteness
+from tracker.metrics.observability import (
+    noise_free_path,
+    observability,
+    observability_matrix,
+    scenario_observability,
+)
+from tracker.testing.textbook import ABSCISSA
+from tracker_motion import constant_velocity, coordinated_turn
+from tracker_sensors import azimuth, position, range_azimuth, stack
+
+WALK = constant_velocity(0.5)
+FIX = position(3.0)
+
+
+def walking(steps=200, probability=1.0, density=0.5):
+    return tk.Scenario(
+        name="walking",
+        motion=constant_velocity(density),
+        sensor=FIX,
+        prior=tk.Gaussian(np.zeros(4), np.diag([100.0, 100.0, 10.0, 10.0])),
+        t=np.arange(1.0, steps + 1.0),
+        detection_probability=probability,
+    )
+
+
+def run_of(scene, motion=None, runs=300, seed=5, rule="kf"):
+    made = scene.simulate(seed, runs)
+    est = tk.estimator(rule, motion=motion or scene.motion, sensor=scene.sensor)
+    return tk.filter(est, made.record, made.prior, start=made.start)
+
+
+# -------------------------------------------------------------------------------- whiteness
+@pytest.mark.statistical
+@pytest.mark.parametrize("probability", [1.0, 0.7])
+@pytest.mark.parametrize("steps", [50, 200])
+def test_innovations_of_a_matched_filter_are_white(steps, probability):
+    # 2,000 p-values that should be uniform: their mean has standard deviation 1 / sqrt(12 * 2000).
+    found = whiteness(run_of(walking(steps, probability), runs=2000).innovation)
+    assert (found.degrees == 20).all()
+    share = 4.9 / np.sqrt(12 * 2000)  # false alarm 1e-6
+    assert abs(found.probability.mean() - 0.5) < share
+    # Each is below 1 % in 1 % of runs, a little more in short ones: 2 % would be 4.5 deviations.
+    assert (found.probability < 0.01).mean() < 0.02
+
+
+def test_noise_that_is_too_small_or_too_large_colours_the_innovations():
+    timid = whiteness(run_of(walking(), constant_velocity(0.05), runs=50).innovation)
+    bold = whiteness(run_of(walking(), constant_velocity(10.0), runs=50).innovation)
+    assert (timid.probability < 1e-3).mean() > 0.9
+    assert (bold.probability < 1e-3).mean() > 0.9
+    assert timid.together.correlations[0] > 0.2
+    assert bold.together.correlations[0] < -0.2
+
+
+def test_whiteness_of_a_lane_does_not_depend_on_the_others():
+    history = run_of(walking(60, 0.8), runs=6)
+    whole = whiteness(history.innovation)
+    fields = {k: v[..., 3] for k, v in attrs.asdict(history.innovation, recurse=False).items()}
+    alone = whiteness(tk.Innovation(**fields))
+    assert alone.statistic == pytest.approx(whole.statistic[3], rel=1e-12)
+    assert alone.probability == pytest.approx(whole.probability[3], rel=1e-9)
+
+
+# ----------------------------------------------------------------------------- observability
+def test_the_matrix_is_that_of_the_textbook():
+    F = np.eye(4) + np.eye(4, k=2) * 2.0
+    H = np.eye(2, 4)
+    expected = np.vstack([H @ np.linalg.matrix_power(F, k) for k in range(4)])
+    found = observability_matrix(WALK, FIX, np.zeros(4), 2.0)
+    np.testing.assert_array_equal(found, expected)
+    assert observability_matrix(WALK, FIX, np.zeros((4, 3, 2)), 2.0).shape == (8, 4, 3, 2)
+    velocity = tk.sensors.make("position_velocity", sigma=1.0, sigma_velocity=1.0)
+    assert observability_matrix(WALK, velocity, np.zeros(4), 1.0, steps=1).shape == (4, 4)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**32 - 1), batch=st.sampled_from([(), (3,), (2, 2)]))
+def test_information_is_that_of_the_least_squares_problem(seed, batch):
+    # The Hessian of half the squared, weighted residuals, by differences of the first state.
+    rng = np.random.default_rng(seed)
+    motion = coordinated_turn(0.1, 0.01)
+    sensor = stack([azimuth(0.02).at(sx=0.0, sy=0.0), range_azimuth(2.0, 0.05)]).over(motion.space)
+    t = np.cumsum(rng.uniform(0.1, 1.0, 8))
+    pose = rng.normal(0.0, 20.0, (8, 2))
+    first = np.array([50.0, 60.0, 3.0, -2.0, 0.1]).reshape(5, *(1,) * len(batch))
+    first = first + rng.normal(0.0, 1.0, (5, *batch))
+    seen = rng.uniform(size=(8, 3, *batch)) < 0.8
+
+    def path(x):
+        out = [x]
+        for k in range(1, 8):
+            out.append(motion.f(out[-1], t[k] - t[k - 1]))
+        return np.stack(out)
+
+    states = path(first)
+    found = observability(motion, sensor, t, states, np.eye(5), pose=pose, measured=seen)
+    for lane in list(np.ndindex(*batch))[:2]:
+        rows = []
+        for j in range(5):
+            step = np.zeros(5)
+            step[j] = 1e-5
+            up, down = path(first[(..., *lane)] + step), path(first[(..., *lane)] - step)
+            part = [
+                sensor.residual(sensor.h(up[k], pose[k]), sensor.h(down[k], pose[k])) / 2e-5
+                for k in range(8)
+            ]
+            rows.append(np.stack(part))
+        J = np.stack(rows, axis=-1) / np.array([0.02, 2.0, 0.05])[:, None]
+        J = J * seen[(..., *lane)][..., None]
+        expected = np.einsum("kmi,kmj->ij", J, J)
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        assert (np.abs(found.information[(..., *lane)] - expected) < 1e-6 * scale + 1e-12).all()
+
+
+def test_the_gramian_weighs_all_measurements_alike():
+    t, states = np.arange(4.0), np.zeros((4, 4))
+    matrix = observability_matrix(WALK, FIX, np.zeros(4), 1.0)
+    found = observability(WALK, FIX, t, states, np.eye(4), weighted=False)
+    np.testing.assert_allclose(found.information, matrix.T @ matrix, rtol=1e-12)
+    assert found.rank == 4
+    ratios = np.linalg.eigvalsh(matrix.T @ matrix)
+    assert found.condition == pytest.approx(ratios[-1] / ratios[0], rel=1e-9)
+
+
+def test_a_noise_free_path_leads_to_where_it_must():
+    motion = coordinated_turn(0.1, 0.01)
+    t = np.linspace(0.0, 5.0, 11)
+    start = np.array([[1.0, 2.0, 3.0, 4.0, 0.2], [5.0, 0.0, -1.0, 2.0, -0.3]]).T
+    states = [start]
+    for k in range(10):
+        states.append(motion.f(states[-1], t[k + 1] - t[k]))
+    true = np.stack(states)
+    guess = true + 0.1 * np.random.default_rng(0).normal(size=true.shape)
+    guess[-1] = true[-1]
+    np.testing.assert_allclose(noise_free_path(motion, t, guess), true, rtol=1e-9, atol=1e-9)
+
+
+def test_one_bearing_from_a_straight_observer_does_not_show_the_range():
+    straight = scenario_observability(tk.scenario("moving_observer", path="straight"))
+    weaving = scenario_observability(tk.scenario("moving_observer", path="manoeuvring"))
+    assert (straight.rank == 3).all()
+    assert straight.along_sight[0].all()
+    assert (weaving.rank == 4).all()
+    assert (weaving.ratios[0] > 10.0).all()
+    # The direction is the one that theory names: position and velocity relative to the observer.
+    scene = tk.scenario("moving_observer", path="straight")
+    x = scene.simulate(0, 8).truth[0] - np.array([0.0, 50.0, 0.0, 5.0])[:, None]
+    change = straight.directions[:, 0]
+    unit = np.sqrt((x[:2] ** 2).sum(axis=0)), np.sqrt((change[:2] ** 2).sum(axis=0))
+    np.testing.assert_allclose(np.abs(x / unit[0]), np.abs(change / unit[1]), rtol=0, atol=1e-5)
+
+
+def test_along_estimates_there_seems_to_be_information_where_there_is_none():
+    scene = tk.scenario("moving_observer", path="straight")
+    history = run_of(scene, runs=8, rule="ekf1")
+    arguments = (scene.motion, scene.sensor, scene.t)
+    scale = history.predicted.cov[0]
+    along = observability(*arguments, history.filtered.mean, scale, pose=scene.pose)
+    path = noise_free_path(scene.motion, scene.t, history.filtered.mean)
+    honest = observability(*arguments, path, scale, pose=scene.pose)
+    assert (along.ratios[0] > 0.1).all()
+    assert (np.abs(honest.ratios[0]) < 1e-6).all()
+
+
+def test_a_component_that_nothing_measures_is_named():
+    t, states = np.arange(5.0), np.zeros((5, 4))
+    sensor = ABSCISSA
+    found = observability(WALK, sensor, t, states, np.diag([4.0, 9.0, 1.0, 1.0]))
+    words = found.words()
+    assert found.rank == 2
+    assert len(words) == 2
+    assert "direction of the state is unobservable" in words[0]
+    assert {w.split("(")[1].split()[0] for w in words} == {"y", "vy"}
+
+
+def test_what_the_prior_knows_exactly_needs_no_measurement():
+    t, states = np.arange(5.0), np.zeros((5, 4))
+    sensor = ABSCISSA
+    found = observability(WALK, sensor, t, states, np.diag([4.0, 0.0, 1.0, 0.0]))
+    assert found.words() == ()
+    assert found.rank == 4
+    assert np.isinf(found.ratios[-2:]).all()
+
+
+def test_a_lane_that_is_not_finite_says_nothing_and_harms_none():
+    states = np.zeros((5, 4, 2))
+    states[3, 0, 1] = np.nan
+    sensor = range_azimuth(1.0, 0.1).at(sx=5.0, sy=5.0)
+    found = observability(WALK, sensor, np.arange(5.0), states, np.eye(4))
+    assert np.isfinite(found.ratios[:, 0]).all()
+    assert np.isnan(found.ratios[:, 1]).all()
+    assert found.words((1,)) == ()
+
+
+# ---------------------------------------------------------------------------- runs in words
+def test_a_matched_run_is_warned_of_nothing():
+    history = run_of(walking(), runs=20)
+    assert history.warnings() == []
+    told = history.summary()
+    assert "consistent" in told
+    assert "rank 4 of 4" in told
+
+
+@pytest.mark.parametrize("batch", ["one run", "lanes"])
+def test_every_summary_of_a_straight_observer_says_that_the_range_is_unobservable(batch):
+    scene = tk.scenario("moving_observer", path="straight")
+    made = scene.simulate(3, 20)
+    est = tk.estimator("ekf1", motion=scene.motion, sensor=scene.sensor, smoother="rts")
+    record, prior = made.record, made.prior
+    if batch == "one run":
+        record = tk.Record(record.t, record.z[..., 4], pose=record.pose)
+        prior = prior[4]
+    for run in (tk.filter, tk.smooth):
+        history = run(est, record, prior, start=made.start)
+        assert "the range is unobservable" in history.summary()
+    one = tk.Record(made.record.t, made.record.z[..., :1], pose=made.record.pose)
+    assert "range is unobservable" in tk.smooth(est, one, made.prior[..., :1], start=0.0).summary()
+
+
+def test_a_campaign_says_that_the_range_is_unobservable_and_says_so_again_when_loaded(tmp_path):
+    scene = tk.scenario("moving_observer", path="straight")
+    built = {
+        name: tk.estimator(name, motion=scene.motion, sensor=scene.sensor)
+        for name in ("ekf1", "ukf")
+    }
+    campaign = tk.monte_carlo(built, scene, runs=32, seed=1)
+    told = campaign.summary()
+    assert told.count("the range is unobservable") == 1
+    assert "overconfident" in told
+    assert "the range is unobservable" in campaign.summary("rmse")
+    again = tk.load_campaign(campaign.save(tmp_path / "campaign.npz"))
+    assert again.unobservable == campaign.unobservable
+    assert again.summary() == told
+    other = tk.scenario("moving_observer", path="manoeuvring")
+    assert not tk.monte_carlo(built["ekf1"], other, runs=32, seed=1).unobservable
+
+
+def test_timid_and_bold_filters_are_called_what_they_are():
+    timid = run_of(walking(), constant_velocity(0.05), runs=50).warnings()
+    bold = run_of(walking(), constant_velocity(10.0), runs=50).warnings()
+    assert timid[0].startswith("overconfident: mean NIS is")
+    assert "motion is more restless" in timid[1]
+    assert bold[0].startswith("underconfident: mean NIS is")
+    assert "follows noise" in bold[1]
+
+
+def test_a_run_that_diverged_says_so():
+    record = tk.Record(np.arange(6.0), np.zeros((6, 2, 3)))
+    est = tk.estimator("kf", motion=WALK, sensor=FIX)
+    prior = tk.Gaussian(np.zeros((4, 3)), np.eye(4))
+    prior.mean[:, 1] = np.nan
+    told = tk.filter(est, record, prior).warnings()
+    assert told[0].startswith("1 of 3 lanes diverged")
+
+
+def test_a_history_made_by_hand_is_summed_up_as_far_as_it_goes():
+    history = attrs.evolve(run_of(walking(30), runs=2), run=None)
+    assert "unknown: no record" in history.summary()

@@ -1,0 +1,145 @@
+"""A run's state of health in words: is it consistent, are its innovations white, what can it not see.
+
+The numbers come from `consistency` and `observability`; a campaign, which knows the truth, words its
+own in `tracker.montecarlo`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tracker.errors import TrackerError
+from tracker.metrics.consistency import Band, chi_square_band, whiteness
+from tracker.metrics.observability import (
+    Observability,
+    blind_spots,
+    noise_free_path,
+    observability,
+)
+from tracker.types import History
+
+FALSE_ALARM = 1e-3
+"""Probability with which a matched filter is warned of, for NIS and for whiteness, by chance alone."""
+
+MATTERS = 0.05
+"""Deviations of NIS from one, and correlations, that are worth no warning however certain they are."""
+
+LOOKED_AT = 8
+"""Lanes whose observability is looked at."""
+
+
+def nis_of(history: History) -> tuple[float, Band]:
+    """NIS divided by its degrees of freedom, over all finite steps and lanes, and its band."""
+    told = history.innovation
+    good = np.asarray(told.ok) & np.isfinite(told.nis)
+    degrees = float(np.where(good, told.count, 0.0).sum())
+    band = chi_square_band(degrees, 1.0 - FALSE_ALARM, per=max(degrees, 1.0))
+    return (float(np.where(good, told.nis, 0.0).sum()) / degrees if degrees else np.nan), band
+
+
+def observability_of(history: History) -> Observability | None:
+    """Along noise-free paths that end in some lanes' last estimates; None if the models do not tell.
+
+    A history remembers the record and the estimator it came from (`tracker.types.Run`).
+    """
+    run = history.run
+    if run is None or not len(history):
+        return None
+    batch, built = history.filtered.batch, run.estimator
+    index: Any = None
+    if batch:
+        index = np.unique(np.linspace(0, batch[-1] - 1, min(LOOKED_AT, batch[-1])).astype(int))
+        built = built.lanes(index)
+
+    def some(values: Any, lead: int) -> Any:
+        whole = index is None or values is None or np.ndim(values) <= lead
+        return values if whole else values[..., index]
+
+    t, u, pose = some(history.t, 1), some(history.u, 2), some(run.record.pose, 2)
+    ends = some(history.filtered.mean, 2)
+    try:
+        path = noise_free_path(built.motion, t, ends, u)
+        return observability(
+            built.motion,
+            built.sensors,
+            t,
+            path,
+            some(history.predicted.cov[0], 2),
+            pose=pose,
+            sensor=run.record.sensor,
+            measured=~np.isnan(some(run.record.z, 2)),
+            u=u,
+        )
+    except (TrackerError, AttributeError, TypeError, ValueError):
+        return None  # no derivatives, or a model that does not take many times at once
+
+
+def warnings(history: History) -> list[str]:
+    """What a person should be told before trusting a run; empty if nothing."""
+    out = []
+    ok = np.asarray(history.innovation.ok)
+    lost = ~ok.all(axis=0)
+    if lost.any():
+        what = f"{int(lost.sum())} of {lost.size} lanes" if lost.ndim else "the run"
+        first = int((~ok).reshape(len(ok), -1).any(axis=1).argmax())
+        out.append(
+            f"{what} diverged: no longer finite, first at step {first}. Look at the record and the "
+            "prior there, or use a filter that bears more nonlinearity."
+        )
+    nis, band = nis_of(history)
+    word = band.verdict(nis)
+    if word in {"overconfident", "underconfident"} and abs(nis - 1.0) > MATTERS:
+        size = "larger" if word == "overconfident" else "smaller"
+        out.append(
+            f"{word}: mean NIS is {nis:.3g} times its degrees of freedom, outside "
+            f"[{band.low:.3g}, {band.high:.3g}]: innovations are {size} than the filter thinks."
+        )
+    white = whiteness(history.innovation).together
+    size = float(np.nanmax(np.abs(white.correlations), initial=0.0))
+    if white.probability < FALSE_ALARM and size > MATTERS:
+        first = float(white.correlations[0])
+        hint = (
+            "the motion is more restless than its noise says, or the sensor is biased"
+            if first > 0
+            else "the filter follows noise: its process noise is too large, or R too small"
+        )
+        out.append(
+            f"innovations are not white: correlation {first:+.2f} from step to step (chance: "
+            f"{float(white.probability):.1g}): {hint}."
+        )
+    return out + blind_spots(observability_of(history))
+
+
+def summary(history: History) -> str:
+    """The state of health of a run: numbers, and below them what a person should conclude."""
+    batch = history.filtered.batch
+    kind = "filtered" if history.smoothed is None else "filtered and smoothed"
+    lanes = f", lanes {batch}" if batch else ""
+    n = history.filtered.mean.shape[1]
+    nis, band = nis_of(history)
+    white = whiteness(history.innovation).together
+    chance = f"probability {float(white.probability):.2g} if white"
+    lines = [
+        f"History: {len(history)} steps, {n} states{lanes}, {kind}",
+        f"NIS / m        {nis:.4g} [{band.low:.4g}, {band.high:.4g}] {band.verdict(nis)}",
+        f"innovations    correlation {_shown(white.correlations)}, {chance}",
+        f"observability  {_seen(observability_of(history))}",
+    ]
+    return "\n".join(lines + [f"Warning: {words}" for words in warnings(history)])
+
+
+def _shown(correlations: Any) -> str:
+    return f"{float(correlations[0]):+.3f}" if len(correlations) else "unknown"
+
+
+def _seen(found: Observability | None) -> str:
+    if found is None:
+        return "unknown: no record, or models without derivatives"
+    least = float(np.nanmedian(found.ratios[0])) if np.isfinite(found.ratios[0]).any() else np.nan
+    rank = int(np.median(found.rank))
+    return (
+        f"rank {rank} of {len(found.ratios)}; the record says {max(least, 0.0):.3g} times as much as "
+        "the prior of the direction it sees least"
+    )
