@@ -141,6 +141,10 @@ class Reading:
     low: float
     high: float
 
+    def gives(self, published: Published) -> bool:
+        """Whether the published number, give or take its own rounding, lies in the range."""
+        return self.low - published.rounding <= published.value <= self.high + published.rounding
+
 
 @attrs.frozen
 class ResultRow:
@@ -202,12 +206,11 @@ def verdict(
         return "not comparable", not_comparable
     if not math.isfinite(ours.value):
         return "not comparable", "No run of ours gave a finite number."
-    value, slack = published.value, published.rounding
     interval = f"the 95 % interval of ours, {ours.low:.4g} to {ours.high:.4g}"
     telling = ours.high - ours.low <= abs(ours.value)
-    if telling and ours.low - slack <= value <= ours.high + slack:
+    if telling and Reading("ours", ours.low, ours.high).gives(published):
         return "reproduced", f"Inside {interval}."
-    inside = [one for one in readings if one.low - slack <= value <= one.high + slack]
+    inside = [one for one in readings if one.gives(published)]
     silent = (
         "" if telling else f"{interval[0].upper()}{interval[1:]}, is too wide to decide anything. "
     )

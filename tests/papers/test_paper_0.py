@@ -136,7 +136,7 @@ def error_curves(start, manoeuvre, parts):
 
 @pytest.mark.parametrize(
     ("start", "manoeuvre", "word"),
-    [(3.0, 1.5, "confirmed"), (1.5, 1.5, "refuted"), (3.0, 1.0, "refuted")],
+    [(3.0, 1.5, "confirmed"), (1.5, 1.5, "refuted"), (3.0, 0.8, "refuted")],
 )
 def test_claim_3_asks_for_a_bad_start_and_a_rise_in_the_manoeuvre(start, manoeuvre, word):
     scene = gulf_to_oman("A")

@@ -18,7 +18,7 @@ from tracker.types import Array, ArrayLike, as_array
 
 EQUAL = 1.1
 THREE = (2.5, 3.5)
-START, MANOEUVRE = 2.0, 1.25
+START, MANOEUVRE = 2.0, 1.0
 PEAK, REMOVED = 3.0, 0.9
 COLLINEAR = 2.0
 STRAIGHT_RATE, TURNING_RATE, LAG = 0.25, 0.75, 0.3
