@@ -83,16 +83,17 @@ class Scenario:
     """A problem with a known answer: how truth arises, who measures it, what an estimator is told.
 
     ``initial`` says how truth and prior are drawn: "truth from prior" (the estimator's belief is
-    calibrated: the honest test of consistency), "prior around truth" (the true start is ``start``,
-    the prior mean is drawn around it), or "fixed" (neither is drawn). The truth then follows
-    ``path``, or is simulated from ``truth_motion`` (by default the estimator's own model).
+    calibrated: the honest test of consistency), "prior around truth" (the true start is ``start``, or
+    drawn around it with covariance ``start_cov``; the prior mean is drawn around that), or "fixed"
+    (neither is drawn). The truth then follows ``path``, or is simulated from ``truth_motion`` (by
+    default the estimator's own model).
 
     ``detection_probability`` is that of each measured component by itself, as in a stack of
     sensors: a component that is missed is NaN.
 
     Shapes:
         t ``(T,)`` measurement times; pose ``(T, p)`` or None; path ``(T, n)`` or None; start
-        ``(n,)`` or None.
+        ``(n,)`` or None; start_cov ``(n, n)`` or None.
 
     Raises:
         ShapeError, DomainError: when these do not fit together.
@@ -108,6 +109,7 @@ class Scenario:
     path: Array | None = attrs.field(default=None, repr=brief)
     truth_motion: MotionModel | None = None
     start: Array | None = None
+    start_cov: Array | None = attrs.field(default=None, repr=brief)
     initial: str = attrs.field(default=INITIAL[0])
     detection_probability: float = 1.0
     summary: str = ""
@@ -130,6 +132,7 @@ class Scenario:
         for label, value, shape in (
             ("path", self.path, (steps, n)),
             ("start", self.start, (n,)),
+            ("start_cov", self.start_cov, (n, n)),
             ("pose", self.pose, (steps, self.sensor.pose_space.size)),
         ):
             if value is not None and np.shape(value) != shape:
@@ -138,7 +141,7 @@ class Scenario:
                         f"argument {label!r}",
                         got=f"shape {np.shape(value)}",
                         expected=f"{shape}",
-                        do="give one row per measurement time",
+                        do="give one row per measurement time, and a start like the prior",
                     )
                 )
         first = float(self.t[0]) if steps else self.prior_time
@@ -221,6 +224,9 @@ class Scenario:
             begin = mean + _times(root, normals(seed, runs, "initial", (n,), condition))
         else:
             begin = np.repeat(np.asarray(known, dtype=np.float64)[:, None], count, axis=1)
+            if self.start_cov is not None:
+                drawn = normals(seed, runs, "initial", (n,), condition)
+                begin = begin + _times(square_root(as_array(self.start_cov, "start_cov")), drawn)
         if self.initial == INITIAL[1]:
             mean = begin + _times(root, normals(seed, runs, "prior", (n,), condition))
         return begin, Gaussian.trusted(mean, cov)

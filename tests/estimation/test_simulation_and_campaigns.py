@@ -75,7 +75,10 @@ def test_truth_from_prior_has_the_moments_of_the_prior():
 def test_prior_around_truth_keeps_the_truth_and_draws_the_belief():
     scene = tk.scenario("moving_observer", initial="prior around truth")
     simulation = scene.simulate(1, 100)
-    np.testing.assert_allclose(simulation.truth[0, 0], 6000.0 + 10 * 3.0)
+    start = simulation.truth[0, :2] - 10.0 * simulation.truth[0, 2:]
+    np.testing.assert_allclose(start.T, np.tile([6000.0, 5000.0], (100, 1)))
+    # five standard errors of a standard deviation: false alarm below 1e-6
+    np.testing.assert_allclose(simulation.truth[0, 2:].std(axis=1), 5.0, rtol=5.0 / np.sqrt(200))
     assert simulation.prior.mean[0].std() > 1000
 
 

@@ -372,23 +372,27 @@ def scores(
 ) -> None:
     """Squared position error, NEES and more, summed over time per lane and over lanes per step.
 
+    Of the last step are kept, per lane: squared position error, NEES, and the position's claimed variance.
+
     A lane that is not finite is left out of the sums over lanes, not out of its own; so is one that
     only fills up a group (``counted`` is 0 there).
     """
     flags = motion.space.circular
     errors = residual(estimate.mean, truth, flags if any(flags) else False)
     squared: Any = 0.0
+    claimed: Any = 0.0
     for i in motion.space.position:
-        squared = squared + errors[i] * errors[i]
+        squared, claimed = squared + errors[i] * errors[i], claimed + estimate.cov[i, i]
     nees = _mahalanobis(errors, estimate.cov)
     program.total("totals", [squared, nees, *more], variant)
     if "final" not in program.states:
-        program.state("final", 1)
+        program.state("final", 3)
     # Forwards the last step is the last computed; backwards it is the first, and is kept.
-    final = program.states["final"][0]
-    program.set(
-        "final", [where(isnan(final), squared, final) if program.backward else squared], variant
-    )
+    last = [squared, nees, claimed]
+    if program.backward:
+        kept = program.states["final"]
+        last = [where(isnan(was), now, was) for was, now in zip(kept, last, strict=True)]
+    program.set("final", last, variant)
     finite = less(absolute(squared + nees), INFINITY)
     values = [where(finite, e * counted, 0.0) for e in (squared, nees, *more[:2])]
     program.curve("curves", [*values, where(finite, counted, 0.0)], variant)

@@ -465,7 +465,7 @@ class Sums:
     """Scores of a chunk of runs, summed: per run over time, per step over blocks of runs.
 
     Shapes:
-        totals ``(count, runs)``; final ``(runs,)``; partial ``(count, T, blocks)``.
+        totals ``(count, runs)``; final ``(3, runs)``, see `tracker.compile.fuse.scores`; partial ``(count, T, blocks)``.
     """
 
     totals: Array
@@ -544,6 +544,6 @@ def _sums(problem: _Problem, arrays: Mapping[str, Array]) -> Sums:
         lanes = lanes + curves[..., i]
     return Sums(
         untile(arrays["totals"], problem.lanes),
-        untile(arrays["final"], problem.lanes)[0],
+        untile(arrays["final"], problem.lanes),
         np.moveaxis(lanes, 0, -1).swapaxes(0, 1),
     )

@@ -64,6 +64,18 @@ def chi_square_band(degrees: float, probability: float = 0.95, *, per: float = 1
     return Band(float(low) / per, float(high) / per, probability)
 
 
+def chi_square_point(probability: float, degrees: float) -> float:
+    """What a chi-square variable stays below with the given probability.
+
+    Example:
+    >>> round(chi_square_point(0.99, 4), 3)
+    13.277
+    """
+    from scipy.special import chdtri
+
+    return float(chdtri(degrees, 1.0 - probability))
+
+
 @attrs.frozen
 class Interval:
     """A value with the interval that holds the true one with a stated probability."""
