@@ -122,11 +122,10 @@ class Scores:
 
     @property
     def final_share(self) -> float:
-        """Share of runs whose final NEES is above its 99 % point, or not finite; 0.01 if consistent."""
-        final = self.per_run.get("final_nees")
-        if final is None:
-            return np.nan
-        return float(np.mean(~(final <= chi_square_point(TAIL, self.n))))
+        """Share of the finite runs whose final NEES is above its 99 % point; 0.01 if consistent."""
+        final = self.per_run.get("final_nees", np.empty(0))
+        final = final[np.isfinite(final)]
+        return float(np.mean(final > chi_square_point(TAIL, self.n))) if final.size else np.nan
 
     @property
     def mean_nis(self) -> float:
