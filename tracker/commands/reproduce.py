@@ -92,7 +92,7 @@ def _as_csv(table: Table) -> str:
 
 
 def _print(done: Reproduction) -> None:
-    print_table(HEAD[:-1], [line[:-1] for line in rows(done)])
+    print_table(HEAD, rows(done))
     click.echo()
     print_table(
         ("claim", "verdict", "text"), [(one.id, one.verdict, one.text) for one in done.claims]

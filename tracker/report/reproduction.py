@@ -8,7 +8,7 @@ from tracker.report import page as html
 from tracker.report.drawing import svg_and_png
 from tracker.reproduction import Reproduction, ResultRow
 
-HEAD = ("number", "published", "ours", "95 % interval", "runs", "verdict", "why")
+HEAD = ("number", "published", "ours", "95 % interval", "runs", "verdict")
 
 
 def rows(reproduction: Reproduction) -> list[tuple[str, ...]]:
@@ -21,7 +21,6 @@ def rows(reproduction: Reproduction) -> list[tuple[str, ...]]:
             _interval(one),
             str(one.runs),
             one.verdict,
-            one.why,
         )
         for one in reproduction.rows
     ]
@@ -63,7 +62,13 @@ def write_up(
                 *[html.text(note) for note in reproduction.notes],
             ],
         ),
-        ("Published numbers", [html.table(HEAD, rows(reproduction))]),
+        (
+            "Published numbers",
+            [
+                html.table(HEAD, rows(reproduction)),
+                html.points(f"{one.id}: {one.why}" for one in reproduction.rows),
+            ],
+        ),
         (
             "Claims",
             [
