@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import attrs
 import numpy as np
 
-from tracker.algebra import residual
+from tracker.algebra import mahalanobis, residual
 from tracker.compile.program import Program, Rate
 from tracker.compile.values import (
     Form,
@@ -33,7 +33,6 @@ from tracker.recursion import Adapted, advance, is_random
 from tracker.types import EMPTY_SPACE, Gaussian, Space
 
 INFINITY = float("inf")
-_NORMAL = 2.0**-1022
 
 
 @attrs.frozen
@@ -383,7 +382,7 @@ def scores(
     claimed: Any = 0.0
     for i in motion.space.position:
         squared, claimed = squared + errors[i] * errors[i], claimed + estimate.cov[i, i]
-    nees = _mahalanobis(errors, estimate.cov)
+    nees = mahalanobis(errors, estimate.cov)
     program.total("totals", [squared, nees, *more], variant)
     if "final" not in program.states:
         program.state("final", 3)
@@ -393,37 +392,9 @@ def scores(
         kept = program.states["final"]
         last = [where(isnan(was), now, was) for was, now in zip(kept, last, strict=True)]
     program.set("final", last, variant)
-    finite = less(absolute(squared + nees), INFINITY)
-    values = [where(finite, e * counted, 0.0) for e in (squared, nees, *more[:2])]
-    program.curve("curves", [*values, where(finite, counted, 0.0)], variant)
-
-
-def _mahalanobis(v: Any, S: Any) -> Any:
-    """``v' S^-1 v`` without square roots, by ``S = L D L'``.
-
-    Square roots are what takes longest where nothing else waits for the result. As in
-    `tracker.algebra.mahalanobis`, a pivot that is not positive carries no information.
-    """
-    total: Any = 0.0
-    rows: list[list[Any]] = []  # of L D, below the diagonal
-    inverse: list[Any] = []
-    y: list[Any] = []
-    for a in range(len(v)):
-        row: list[Any] = []
-        pivot, left = S[a, a], v[a]
-        for b in range(a):
-            entry = S[a, b]
-            for c in range(b):
-                entry = entry - row[c] * (rows[b][c] * inverse[c])
-            row.append(entry)
-        for b in range(a):
-            below = row[b] * inverse[b]
-            pivot, left = pivot - below * row[b], left - below * y[b]
-        inverse.append(where(less(pivot, _NORMAL), 0.0, 1.0 / pivot))  # NaN stays
-        rows.append(row)
-        y.append(left)
-        total = total + left * left * inverse[a]
-    return total
+    counts = less(absolute(squared + nees), where(less(0.0, counted), INFINITY, 0.0))
+    values = [where(counts, e, 0.0) for e in (squared, nees, *more[:2], 1.0)]
+    program.curve("curves", values, variant)
 
 
 def _symbolic(owner: Any, entries: Any) -> None:

@@ -68,7 +68,7 @@ FAILURES = (TraceError, TypeError, AttributeError, ValueError, IndexError)
 
 def _begins(estimator: Any) -> str:
     try:
-        layout = _layout(estimator, {}, 0, ("filtered",))
+        layout = _layout(estimator, {}, 0, ("scores",))  # as a campaign's, most often
     except FAILURES as error:
         return f"what filter {type(estimator.filter).__name__} believes cannot be carried: {error}"
     return _hashable(_trial, layout)
@@ -86,7 +86,7 @@ def _hashable(trial: Callable[[Layout], str], layout: Layout) -> str:
 def _trial(layout: Layout) -> str:
     """Whether the filter's own methods run on graph nodes."""
     try:
-        forward(layout)
+        _composed(layout, "forward")
     except FAILURES as error:
         return f"filter {type(layout.filter).__name__} cannot be traced: {error}"
     return ""
@@ -123,7 +123,7 @@ def why_not_backwards(estimator: Any) -> str:
         why = f"smoother {type(after.smoother).__name__} has no step over components"
     else:
         why = why_not(None, after.motion, ()) or _hashable(
-            _trial_backwards, _layout(after, {}, 0, ("smoothed",))
+            _trial_backwards, _layout(after, {}, 0, ("scores",))
         )
     return _required(why, wanted)
 
@@ -137,7 +137,7 @@ def _required(why: str, wanted: str) -> str:
 @functools.lru_cache(maxsize=128)
 def _trial_backwards(layout: Layout) -> str:
     try:
-        backward(layout)
+        _composed(layout, "backward")
     except FAILURES as error:
         return f"smoother {type(layout.smoother).__name__} cannot be traced: {error}"
     return ""
@@ -146,7 +146,13 @@ def _trial_backwards(layout: Layout) -> str:
 @functools.lru_cache(maxsize=64)
 def kernel(layout: Layout, direction: str) -> Kernel:
     """The compiled program of a layout; made once per process, its object once per machine."""
-    return Kernel(forward(layout) if direction == "forward" else backward(layout))
+    return Kernel(_composed(layout, direction))
+
+
+@functools.lru_cache(maxsize=64)
+def _composed(layout: Layout, direction: str) -> Program:
+    """The program of a layout; asking whether it can be compiled has made it already."""
+    return forward(layout) if direction == "forward" else backward(layout)
 
 
 # ------------------------------------------------------------------------------------ layout
