@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from tracker_sensors.biased import biased
     from tracker_sensors.conical_angle import conical_angle
     from tracker_sensors.doppler_frequency import doppler_frequency
+    from tracker_sensors.multipath_delays import multipath_delays
     from tracker_sensors.position import position
     from tracker_sensors.position_velocity import position_velocity
     from tracker_sensors.range_azimuth import range_azimuth
@@ -28,6 +29,7 @@ __all__ = [
     "biased",
     "conical_angle",
     "doppler_frequency",
+    "multipath_delays",
     "position",
     "position_velocity",
     "range_azimuth",

@@ -66,6 +66,16 @@ _COMPONENTS = (
     ),
     Component(
         kind="sensor",
+        name="multipath_delays",
+        target="tracker_sensors.multipath_delays:multipath_delays",
+        summary="delays of reflected paths (surface, bottom, several bounces) against the direct one",
+        paper="4",
+        equations=("4-1", "4-2", "4-14", "4-15 to 4-30"),
+        tags=("passive", "delays", "3-D"),
+        examples=("multipath_delays(sigma=0.01, depth=285.0, height=270.0)",),
+    ),
+    Component(
+        kind="sensor",
         name="position",
         target="tracker_sensors.position:position",
         summary="Cartesian position in the frame of the state",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from tracker.models import ComponentSensor, atan2, one_of, positive
+from tracker.models import ComponentSensor, atan2, cos, one_of, positive, sin
 from tracker.types import PLANAR, ArrayLike, Space
 
 
@@ -19,6 +19,19 @@ def _north(x: Any, y: Any, *, sx: Any, sy: Any) -> Any:
 
 def _noise(*, sigma: Any) -> Any:
     return ((sigma**2,),)
+
+
+def sight(sensor: ComponentSensor) -> Callable[..., Any] | None:
+    """Unit vector along a measured azimuth, as a function; None for a sensor of another kind."""
+    return {_math: _along_math, _north: _along_north}.get(sensor.measure)
+
+
+def _along_math(azimuth: Any) -> Any:
+    return (cos(azimuth), sin(azimuth))
+
+
+def _along_north(azimuth: Any) -> Any:
+    return (sin(azimuth), cos(azimuth))
 
 
 _MEASURE: dict[str, Callable[..., Any]] = {"math": _math, "north": _north}

@@ -105,4 +105,6 @@ def position(
         space=Space(_STATE[axes].axes[:axes]),
         state=state or _STATE[axes],
         parameters=parameters,
+        inverse=_MEASURE[axes],  # what is measured is the place itself
+        told=("x", "y", "z")[:axes],
     )

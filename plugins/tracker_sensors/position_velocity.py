@@ -62,6 +62,8 @@ def position_velocity(
         noise=_NOISE[axes],
         space=_SPACE[axes],
         state=state or _SPACE[axes],
+        inverse=_MEASURE[axes],  # what is measured is the state itself
+        told=_SPACE[axes].names,
         parameters={
             "sigma": positive("sigma", sigma, unit="m"),
             "sigma_velocity": positive("sigma_velocity", sigma_velocity, unit="m/s"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from tracker.models import ComponentSensor, atan2, diagonal, one_of, positive, sqrt
+from tracker.models import ComponentSensor, atan2, cos, diagonal, one_of, positive, sin, sqrt
 from tracker.types import PLANAR, ArrayLike, Space
 
 
@@ -19,11 +19,20 @@ def _north(x: Any, y: Any, *, sx: Any, sy: Any) -> Any:
     return (sqrt(dx**2 + dy**2), atan2(dx, dy))  # paper 4, eq. (4-5), (4-6)
 
 
+def _place_math(range: Any, azimuth: Any, *, sx: Any, sy: Any) -> Any:  # noqa: A002 - its name
+    return (sx + range * cos(azimuth), sy + range * sin(azimuth))
+
+
+def _place_north(range: Any, azimuth: Any, *, sx: Any, sy: Any) -> Any:  # noqa: A002 - its name
+    return (sx + range * sin(azimuth), sy + range * cos(azimuth))
+
+
 def _noise(*, sigma_range: Any, sigma_azimuth: Any) -> Any:
     return diagonal(sigma_range**2, sigma_azimuth**2)
 
 
 _MEASURE: dict[str, Callable[..., Any]] = {"math": _math, "north": _north}
+_PLACE: dict[str, Callable[..., Any]] = {"math": _place_math, "north": _place_north}
 
 
 def range_azimuth(
@@ -63,6 +72,8 @@ def range_azimuth(
         space=Space.of("range [m]", "azimuth [rad] circular"),
         pose_space=Space.of("sx [m]", "sy [m]"),
         state=state,
+        inverse=_PLACE[convention],
+        told=("x", "y"),
         parameters={
             "sigma_range": positive("sigma_range", sigma_range, unit="m"),
             "sigma_azimuth": positive("sigma_azimuth", sigma_azimuth, unit="rad"),

@@ -19,6 +19,14 @@ def _measure_3(x: Any, y: Any, z: Any, *, sx: Any, sy: Any, sz: Any) -> Any:
     return (x - sx, y - sy, z - sz)
 
 
+def _place_2(dx: Any, dy: Any, *, sx: Any, sy: Any) -> Any:
+    return (dx + sx, dy + sy)
+
+
+def _place_3(dx: Any, dy: Any, dz: Any, *, sx: Any, sy: Any, sz: Any) -> Any:
+    return (dx + sx, dy + sy, dz + sz)
+
+
 def _noise_2(*, sigma: Any) -> Any:
     return diagonal(sigma**2, sigma**2)
 
@@ -28,6 +36,7 @@ def _noise_3(*, sigma: Any) -> Any:
 
 
 _MEASURE: dict[int, Callable[..., Any]] = {2: _measure_2, 3: _measure_3}
+_PLACE: dict[int, Callable[..., Any]] = {2: _place_2, 3: _place_3}
 _NOISE: dict[int, Callable[..., Any]] = {2: _noise_2, 3: _noise_3}
 _SPACE = {2: Space.of("dx [m]", "dy [m]"), 3: Space.of("dx [m]", "dy [m]", "dz [m]")}
 _POSE = {2: Space.of("sx [m]", "sy [m]"), 3: Space.of("sx [m]", "sy [m]", "sz [m]")}
@@ -63,4 +72,6 @@ def relative_position(
         pose_space=_POSE[axes],
         state=state or (SPATIAL if axes == 3 else PLANAR),
         parameters={"sigma": positive("sigma", sigma, unit="m")},
+        inverse=_PLACE[axes],
+        told=("x", "y", "z")[:axes],
     )

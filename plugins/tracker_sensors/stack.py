@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self
 
@@ -9,10 +10,11 @@ import attrs
 import numpy as np
 
 from tracker.errors import CapabilityError, ShapeError, wording
-from tracker.models import ComponentSensor
+from tracker.models import ComponentSensor, less, where
 from tracker.models.component import signature_of
 from tracker.protocols import SensorModel
 from tracker.types import ArrayLike, Axis, Space
+from tracker_sensors.azimuth import sight
 
 
 def stack(
@@ -35,7 +37,7 @@ def stack(
     Reference:
         paper 0, eq. (30): two stations; paper 4, eq. (4-14), (5-10).
     Laws:
-        equal to its parts; those of kind "sensor".
+        equal to its parts; those of kind "sensor". Two azimuths have a `prior`: where they cross.
 
     Example:
     >>> from tracker_sensors import azimuth, range_only
@@ -60,6 +62,7 @@ def stack(
         state=state,
         planar=any(p.planar for p in traced),
         parts=tuple(dict.fromkeys(name for p in traced for name in (p.parts or (p.name,)))),
+        **_triangulation(traced, suffixes),
         parameters={
             name + suffix: value
             for part, suffix in zip(traced, suffixes, strict=True)
@@ -122,6 +125,35 @@ class _BlockDiagonal(_Composed):
             rows += [(*(0.0,) * start, *row, *(0.0,) * after) for row in block]
             start += len(block)
         return tuple(rows)
+
+
+@attrs.frozen
+class _Triangulated:
+    """Where two lines of sight meet; NaN where they do not, or only behind a sensor."""
+
+    along: tuple[Callable[..., Any], Callable[..., Any]]
+    positional: tuple[str, ...]
+    keywords: tuple[str, ...]
+
+    def __call__(self, first: Any, second: Any, **pose: Any) -> Any:
+        (ax, ay), (bx, by) = self.along[0](first), self.along[1](second)
+        x, y, other_x, other_y = (pose[name] for name in self.keywords)
+        dx, dy = other_x - x, other_y - y
+        across = ax * by - ay * bx
+        near, far = (dx * by - dy * bx) / across, (dx * ay - dy * ax) / across
+        meets = where(less(0.0, near), where(less(0.0, far), near, math.nan), math.nan)
+        return (x + meets * ax, y + meets * ay)
+
+
+def _triangulation(parts: Sequence[ComponentSensor], suffixes: tuple[str, ...]) -> dict[str, Any]:
+    """The inverse of a stack of two azimuths; nothing for any other stack."""
+    along = [sight(part) for part in parts]
+    if len(parts) != 2 or along[0] is None or along[1] is None:
+        return {}
+    azimuths = tuple("azimuth" + suffix for suffix in suffixes)
+    poses = tuple(name + suffix for suffix in suffixes for name in ("sx", "sy"))
+    inverse = _Triangulated((along[0], along[1]), azimuths, poses)
+    return {"inverse": inverse, "told": ("x", "y")}
 
 
 # --------------------------------------------------------------------- some of them opaque
