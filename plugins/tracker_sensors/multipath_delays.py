@@ -5,6 +5,7 @@ Several receivers of one wave front are `time_difference`; how fast sound is liv
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -148,7 +149,7 @@ def multipath_delays(
 
 def _route(path: str) -> tuple[str, ...]:
     route = tuple(path.split())
-    twice = any(a == b for a, b in zip(route, route[1:], strict=False))
+    twice = any(a == b for a, b in itertools.pairwise(route))
     if not route or twice or not set(route) <= set(BOUNDARIES):
         raise DomainError(
             wording(
