@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tracker.models.graph import Node
+from tracker.models.graph import Node, alone
 
 Scalar = Any
 """A float, an array of lanes, a graph node, or an array of components that are nodes."""
@@ -29,7 +29,8 @@ def _define(op: str, scalar: Callable[..., Any], array: Callable[..., Any]) -> C
         for a in args:
             if isinstance(a, np.ndarray):
                 if a.dtype.hasobject:  # components: one at a time
-                    return np.frompyfunc(function, len(args), 1)(*args)
+                    entries = (alone(b) if isinstance(b, Node) else b for b in args)
+                    return np.frompyfunc(function, len(args), 1)(*entries)
                 lanes = True
         if lanes:
             return array(*args)

@@ -49,10 +49,10 @@ _FOLD = {op: _quiet(f) for op, f in NUMPY.items()}
 def _entrywise(op: str, a: Any, b: Any) -> Any:
     """A node and an array of components: an array."""
     entry = operator.truediv if op == "div" else getattr(operator, op)
-    return np.frompyfunc(entry, 2, 1)(*(_alone(v) if isinstance(v, Node) else v for v in (a, b)))
+    return np.frompyfunc(entry, 2, 1)(*(alone(v) if isinstance(v, Node) else v for v in (a, b)))
 
 
-def _alone(node: Node) -> Any:
+def alone(node: Node) -> Any:
     """A node as an array without axes, which NumPy may combine with others."""
     out = np.empty((), dtype=object)
     out[()] = node
