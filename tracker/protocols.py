@@ -141,10 +141,12 @@ class HasComponents(Protocol):
 
 @runtime_checkable
 class Invertible(Protocol):
-    """A sensor whose measurement gives a first estimate of the state."""
+    """A sensor whose measurement gives a first estimate of the state, or of a part of it."""
 
-    def prior(self, z: Array, pose: Any = None) -> Gaussian:
-        """A Gaussian over the state from one measurement ``(m, *batch)``."""
+    def prior(self, z: Array, pose: Any = None, rest: Gaussian | None = None) -> Gaussian:
+        """A Gaussian over the state from one measurement ``(m, *batch)``; what the measurement does
+        not tell is as in ``rest``, which may be missing where nothing is left to tell.
+        """
         ...
 
 

@@ -20,6 +20,8 @@ _HOME = {
     "RauchTungStriebel": "rts",
     "SquareRootRauchTungStriebel": "square_root_rts",
     "TwoFilterSmoother": "two_filter",
+    "drawn": "starts",
+    "two_point": "starts",
     "SigmaPointFilter": "sigma_point",
     "SigmaPointRauchTungStriebel": "sigma_point_rts",
     "SquareRootSigmaPointFilter": "square_root_sigma_point",

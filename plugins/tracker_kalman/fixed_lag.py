@@ -63,8 +63,10 @@ class FixedLagSmoother:
                     windows = self.smoother.step(
                         own, ahead, windows, motion, t[k + 1] - t[k], u, t[k]
                     )
-                if k == last or k >= self.lag:  # no window of interest ends at other steps
-                    windows = own if windows is None else _joined(windows, own)
+                if windows is None:
+                    windows = own
+                elif k >= self.lag:  # no window of interest ends at other steps
+                    windows = _joined(windows, own)
                 mean[k], cov[k] = windows.mean[:, 0], windows.cov[:, :, 0]
                 if k + self.lag <= last:  # the first window is needed no more
                     windows = None if k == 0 or self.lag == 0 else _rest(windows)

@@ -134,7 +134,7 @@ def scenario_bound(scenario: Any, runs: int = 100, seed: int = 0) -> Bound:
 
 
 # ---------------------------------------------------------------------------------- inside
-def _at(motion: Any, begin: float, times: Array, paths: Array, u: Any) -> Array:
+def _at(motion: Any, begin: float, times: Array, paths: Array, u: Any) -> Any:
     """The states at the time of the prior."""
     if begin == times[0]:
         return paths[0]
@@ -143,7 +143,7 @@ def _at(motion: Any, begin: float, times: Array, paths: Array, u: Any) -> Array:
     return noise_free_path(motion, both, np.stack([paths[0], paths[0]]), given)[0]
 
 
-def _predicted(motion: Any, x: Array, C: Array, dt: float, u: Any, t: float) -> Array:
+def _predicted(motion: Any, x: Any, C: Any, dt: float, u: Any, t: float) -> Any:
     F = dense(linearise(motion, x, dt, u, t)[1])
     Q = np.asarray(motion.Q(x, dt))
     if _one(F) and _one(Q):
@@ -195,7 +195,7 @@ def _full(root: Array, used: Array | None = None) -> None:
         )
 
 
-def _known(C: Array, rows: Array) -> Array:
+def _known(C: Any, rows: Any) -> Any:
     """``(C^-1 + E rows' rows)^-1``, with the mean over the last axis."""
     runs = rows.shape[-1]
     stacked = np.moveaxis(rows, (-1, 1), (1, 0)) / np.sqrt(

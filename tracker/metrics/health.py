@@ -91,22 +91,22 @@ def warnings(history: History) -> list[str]:
     nis, band = nis_of(history)
     word = band.verdict(nis)
     if word in {"overconfident", "underconfident"} and abs(nis - 1.0) > MATTERS:
-        size = "larger" if word == "overconfident" else "smaller"
+        than = "larger" if word == "overconfident" else "smaller"
         out.append(
             f"{word}: mean NIS is {nis:.3g} times its degrees of freedom, outside "
-            f"[{band.low:.3g}, {band.high:.3g}]: innovations are {size} than the filter thinks."
+            f"[{band.low:.3g}, {band.high:.3g}]: innovations are {than} than the filter thinks."
         )
     white = whiteness(history.innovation).together
     size = float(np.nanmax(np.abs(white.correlations), initial=0.0))
     if white.probability < FALSE_ALARM and size > MATTERS:
-        first = float(white.correlations[0])
+        next_step = float(white.correlations[0])
         hint = (
             "the motion is more restless than its noise says, or the sensor is biased"
-            if first > 0
+            if next_step > 0
             else "the filter follows noise: its process noise is too large, or R too small"
         )
         out.append(
-            f"innovations are not white: correlation {first:+.2f} from step to step (chance: "
+            f"innovations are not white: correlation {next_step:+.2f} from step to step (chance: "
             f"{float(white.probability):.1g}): {hint}."
         )
     return out + blind_spots(observability_of(history))

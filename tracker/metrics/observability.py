@@ -92,10 +92,11 @@ class Observability:
     def words(self, lane: tuple[int, ...] = ()) -> tuple[str, ...]:
         """One sentence for each unobservable direction of a lane; empty if there is none."""
         out = []
-        for i, ratio in enumerate(self.ratios[(..., *lane)]):
+        here: Any = (..., *lane)
+        for i, ratio in enumerate(self.ratios[here]):
             if not ratio < LITTLE:
                 continue
-            change = self._named(self.directions[(slice(None), i, *lane)], lane)
+            change = self._named(self.directions[here][:, i], self.scale[here])
             what = (
                 "the range is unobservable: a target moved along its line of sight"
                 if self.along_sight[(i, *lane)]
@@ -107,8 +108,8 @@ class Observability:
             )
         return tuple(out)
 
-    def _named(self, direction: Array, lane: tuple[int, ...]) -> str:
-        sigma = np.sqrt(np.einsum("ii->i", self.scale[(..., *lane)]))
+    def _named(self, direction: Array, scale: Array) -> str:
+        sigma: Array = np.sqrt(np.diagonal(scale))
         size = np.abs(direction) / np.where(sigma > 0, sigma, 1.0)
         lead = direction[int(size.argmax())]
         signed = direction if lead >= 0 else -direction
@@ -256,7 +257,7 @@ def told(
         unit = np.eye(len(H)).reshape(len(H), len(H), *(1,) * (path.ndim - 1))
         R = np.where(seen[:, None] & seen, R, unit)
         H = np.where(seen[:, None], H, 0.0)
-    return whiten(factor(R), H) if weighted else H  # type: ignore[no-any-return]
+    return whiten(factor(R), H) if weighted else H
 
 
 # ---------------------------------------------------------------------------------- inside
@@ -276,7 +277,7 @@ def _pose_of(sensor: Any, pose: Any, rows: Any, lanes: int) -> Any:
 def _solved(A: Array, b: Array) -> Array:
     """``A^-1 b`` lane by lane; NaN where A is singular."""
     matrices, vectors = np.moveaxis(A, (0, 1), (-2, -1)), np.moveaxis(b, 0, -1)
-    finite = np.isfinite(matrices).all(axis=(-2, -1))
+    finite: Any = np.isfinite(matrices).all(axis=(-2, -1))
     sound = np.where(finite[..., None, None], matrices, np.eye(len(A)))
     lost = ~finite | (np.linalg.det(sound) == 0.0)
     sound = np.where(lost[..., None, None], np.eye(len(A)), sound)
@@ -287,7 +288,7 @@ def _solved(A: Array, b: Array) -> Array:
 def _eigen(matrix: Array) -> tuple[Array, Array]:
     """Eigenvalues in rising order and eigenvectors in columns; NaN in a lane that is not finite."""
     stacked = np.moveaxis(0.5 * (matrix + transpose(matrix)), (0, 1), (-2, -1))
-    finite = np.isfinite(stacked).all(axis=(-2, -1))
+    finite: Any = np.isfinite(stacked).all(axis=(-2, -1))
     values, vectors = np.linalg.eigh(np.where(finite[..., None, None], stacked, 0.0))
     values = np.where(finite[..., None], values, np.nan)
     return np.moveaxis(values, -1, 0), np.moveaxis(vectors, (-2, -1), (0, 1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -10,10 +10,10 @@ import attrs
 import numpy as np
 
 from tracker.algebra import residual
-from tracker.errors import CapabilityError, ShapeError, TraceError, wording
+from tracker.errors import CapabilityError, DomainError, ShapeError, TraceError, wording
 from tracker.models.component import Author, ComponentFunction
 from tracker.models.parameters import checked_parameters, filled, lanes_of, shaped, shown
-from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Block, Columns, Space
+from tracker.types import EMPTY_SPACE, PLANAR, Array, ArrayLike, Block, Columns, Gaussian, Space
 
 
 def _function(author: str) -> Any:
@@ -21,7 +21,8 @@ def _function(author: str) -> Any:
         function = getattr(self, author)
         if function is None:
             return None
-        return ComponentFunction(function, self.state.names, f"sensor {self.name!r}")
+        names = self.space.names if author == "inverse" else self.state.names
+        return ComponentFunction(function, names, f"sensor {self.name!r}")
 
     return attrs.Factory(build, takes_self=True)
 
@@ -38,6 +39,8 @@ class ComponentSensor:
     function with the signature of ``measure`` that returns rows, gives them. ``parts`` names the
     registered sensors that this one was made of, for `Estimator.cite`. A ``planar`` sensor, whose
     measurement would be wrong where targets have a height, cannot be moved to states with z.
+    ``inverse``, a function of the measured components, returns the components ``told`` of the state
+    that measured so; a sensor that has one has a `prior`.
 
     Shapes:
         x ``(n, *batch)``; pose ``(p,)`` or ``(p, *batch)``; parameters scalars or ``(*batch)``.
@@ -72,10 +75,15 @@ class ComponentSensor:
     derivative: Author | None = attrs.field(default=None, repr=False)
     parts: tuple[str, ...] = attrs.field(default=(), repr=False)
     planar: bool = attrs.field(default=False, repr=False)
+    inverse: Author | None = attrs.field(default=None, repr=False)
+    told: tuple[str, ...] = attrs.field(default=(), repr=False)
     _measure: ComponentFunction = attrs.field(init=False, repr=False, default=_function("measure"))
     _noise: ComponentFunction = attrs.field(init=False, repr=False, default=_function("noise"))
     _by_hand: ComponentFunction | None = attrs.field(
         init=False, repr=False, default=_function("derivative")
+    )
+    _inverse: ComponentFunction | None = attrs.field(
+        init=False, repr=False, default=_function("inverse")
     )
     _circular: bool | tuple[bool, ...] = attrs.field(init=False, repr=False)
 
@@ -167,6 +175,28 @@ class ComponentSensor:
         """``z - zhat``, wrapped where the measurement lives on a circle."""
         return residual(z, zhat, self._circular)
 
+    @property
+    def prior(self) -> Callable[..., Gaussian]:
+        """``prior(z, pose, rest)``: a Gaussian over the state from one measurement.
+
+        The components that were measured get the place that measured so, with R seen through the
+        derivatives of the inverse (first order: a converted range and azimuth is biased outwards by
+        a share of ``sigma_azimuth**2 / 2``); the others are as in ``rest``, uncorrelated with them.
+
+        Shapes:
+            z ``(m, *batch)``; pose ``(p,)`` or ``(p, *batch)``; rest ``(n, *batch)`` or ``(n,)``,
+            needed where the measurement does not tell all of the state. A lane whose measurement
+            misses a component, or fits no state, is NaN.
+
+        Raises:
+            AttributeError: when looked for on a sensor whose measurement does not tell a place.
+            CapabilityError: without ``rest`` where something is left to be told.
+            DomainError: if a single measurement, not in a batch, fits no state.
+        """
+        if self._inverse is None:
+            raise AttributeError(f"sensor {self.name!r} cannot tell a state from one measurement")
+        return self._prior
+
     # -------------------------------------------------------------- another one like it
     def over(self, state: Space) -> ComponentSensor:
         """The same sensor reading states of another space; components are found by name.
@@ -218,6 +248,45 @@ class ComponentSensor:
         return self._measure.why_opaque or self._noise.why_opaque
 
     # ---------------------------------------------------------------------- inside
+    def _prior(
+        self, z: ArrayLike, pose: ArrayLike | None = None, rest: Gaussian | None = None
+    ) -> Gaussian:
+        assert self._inverse is not None  # noqa: S101 - prior checked
+        measured = shaped(z, self.space, "z", self.name)
+        batch, n = measured.shape[1:], self.state.size
+        left = [name for name in self.state.names if name not in self.told]
+        if rest is None and left:
+            raise CapabilityError(
+                wording(
+                    f"prior of sensor {self.name!r}",
+                    got="nothing about " + ", ".join(left),
+                    expected="what is known of the components that one measurement does not tell",
+                    do="pass rest=Gaussian(...) over the whole state",
+                )
+            )
+        mean, cov = np.zeros((n, *batch)), np.zeros((n, n, *batch))
+        if rest is not None:
+            lead = (1,) * len(batch) if not rest.batch else ()
+            mean[:] = rest.mean.reshape(*rest.mean.shape, *lead)
+            cov[:] = rest.cov.reshape(*rest.cov.shape, *lead)
+        places, keywords = list(self.state.indices(*self.told)), self._keywords(pose)
+        mean[places] = self._inverse.evaluate(measured, keywords)
+        if not batch and not np.isfinite(mean).all():
+            raise DomainError(
+                wording(
+                    f"argument 'z' of sensor {self.name!r}",
+                    got=f"{measured}",
+                    expected="a complete measurement that some state fits",
+                    do="wait for another one",
+                )
+            )
+        J = filled(self._inverse.first(measured, keywords), 2, batch)
+        R = filled(self.R(mean, pose), 2, batch)
+        cov[places], cov[:, places] = 0.0, 0.0
+        spread = np.einsum("ik...,kl...,jl...->ij...", J, R, J)
+        cov[np.ix_(places, places)] = 0.5 * (spread + spread.swapaxes(0, 1))
+        return Gaussian.trusted(mean, cov)
+
     def _keywords(self, pose: Any) -> Mapping[str, Any]:
         if not self.pose_space.axes:
             return self.parameters

@@ -26,7 +26,7 @@ from tracker.testing.laws.motion import (
     refuses,
     typical,
 )
-from tracker.types import Array
+from tracker.types import Array, Gaussian
 
 TAU = 2.0 * np.pi
 
@@ -258,7 +258,8 @@ def prior_reproduces(sensor: Any, case: Case) -> None:
     """The state that a measurement suggests is seen as that measurement."""
     x, pose = case.state(), case.pose()
     z = np.array(sensor.h(x, pose))
-    guess = sensor.prior(z.copy(), pose)
+    rest = Gaussian(case.state(), np.eye(len(x)))
+    guess = sensor.prior(z.copy(), pose, rest)
     symmetric(guess.cov, "the covariance of the prior is not symmetric")
     not_negative(guess.cov, "the covariance of the prior is not positive semi-definite")
     gap = sensor.residual(np.array(sensor.h(guess.mean, pose)), z)
