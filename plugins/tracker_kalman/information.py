@@ -1,7 +1,8 @@
-"""The information filter (Fraser 1967; Maybeck 1979, section 5.7), on linear and linearised models."""
+"""The information filter in square-root form (Bierman 1977), on linear and linearised models."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
@@ -9,42 +10,55 @@ import numpy as np
 
 from tracker.algebra import (
     apply,
+    beside,
     condition,
-    congruence,
     dense,
     factor,
     finite,
-    inverse,
     product,
     solve,
     symmetric_product,
     transpose,
+    triangularise,
     whiten,
     without_missing,
 )
 from tracker.algebra.gaussian import projected
-from tracker.models import isnan, where
+from tracker.models import isnan, less, where
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import SYMMETRIC, Gaussian, Innovation, Projection, brief
+from tracker.types import LOWER, Gaussian, Innovation, Projection, brief
 from tracker_kalman.inner import names
 
 
 @attrs.frozen(eq=False)
 class InformationState:
-    """A normal distribution by ``y = P^-1 x`` and ``Y = P^-1``; zeros say that nothing is known.
+    """A normal distribution by a root L of its information ``P^-1 = L L'``, and ``b = L' x``.
+
+    Rows of zeros say that nothing is known of a direction of the state. The root is kept rather than
+    its square because a covariance of condition c would cost all digits of c, not half of them.
 
     Shapes:
-        vector ``(n, *batch)``; matrix ``(n, n, *batch)``, symmetric.
+        data b ``(n, *batch)``; root ``(n, n, *batch)``, lower triangular.
     """
 
-    vector: Any = attrs.field(repr=brief)
-    matrix: Any = attrs.field(repr=brief, metadata=SYMMETRIC)
+    data: Any = attrs.field(repr=brief)
+    root: Any = attrs.field(repr=brief, metadata=LOWER)
+
+    @property
+    def matrix(self) -> Any:
+        """The information ``P^-1``, ``(n, n, *batch)``."""
+        return symmetric_product(self.root, self.root)
+
+    @property
+    def vector(self) -> Any:
+        """The information vector ``P^-1 x``, ``(n, *batch)``."""
+        return apply(self.root, self.data)
 
     def moments(self) -> Gaussian:
         """Mean and covariance; NaN while some direction of the state is unknown."""
-        cov = inverse(self.matrix)
-        return Gaussian.trusted(apply(cov, self.vector), cov)
+        half = transpose(_inverted(self.root))
+        return Gaussian.trusted(apply(half, self.data), symmetric_product(half, half))
 
 
 @attrs.frozen
@@ -54,12 +68,13 @@ class InformationFilter:
     A start from nothing is exact: of the components named in ``unknown`` (all of them, if you like)
     the prior tells nothing, whatever it says. Until measurements have determined every component the
     moments are NaN and ``ok`` is False; models must be linear until then, because there is no mean to
-    linearise about. Predictions need the inverse of F, which
-    every motion in continuous time has. A covariance of condition c costs log10(c) digits where it is
-    turned into information: prefer "square_root" for those.
+    linearise about. A prior that is certain of something (a singular covariance) has no information
+    form: use "square_root". Predictions need the inverse of F, which every motion in continuous time
+    has.
 
-    Reference: Maybeck (1979), Stochastic Models, Estimation and Control 1, section 5.7; Bar-Shalom,
-        Li and Kirubarajan (2001), section 7.2.
+    Reference: Bierman (1977), Factorization Methods for Discrete Sequential Estimation; Maybeck (1979),
+        Stochastic Models, Estimation and Control 1, sections 5.7 and 7.7; Bar-Shalom, Li and
+        Kirubarajan (2001), section 7.2.
     Laws: those of kind "filter"; from no information it is the least-squares solution.
     """
 
@@ -74,38 +89,37 @@ class InformationFilter:
         if isinstance(prior, InformationState):
             return prior
         if not self.unknown or motion is None:
-            matrix = inverse(prior.cov)
-            return InformationState(apply(matrix, prior.mean), matrix)
+            return _informed(prior.mean, prior.cov)
         without = motion.space.indices(*self.unknown)
         known = np.array([i for i in range(len(prior.mean)) if i not in without], dtype=np.intp)
-        vector, matrix = _origin(prior.mean), _origin(prior.cov)
+        data, root = _zeros_like(prior.mean), _zeros_like(prior.cov)
         if len(known):
             block = known[:, None], known
-            matrix[block] = inverse(prior.cov[block])
-            vector[known] = apply(matrix[block], prior.mean[known])
-        return InformationState(vector, matrix)
+            part = _informed(prior.mean[known], prior.cov[block])
+            data[known], root[block] = part.data, part.root
+        return InformationState(data, root)
 
     def predict(
         self, state: InformationState, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
     ) -> InformationState:
-        """``(F Y^-1 F' + Q)^-1``, without inverting Y or Q."""
+        """``(F Y^-1 F' + Q)^-1`` by its root, without inverting Y or Q."""
         mean = state.moments().mean
         linear = getattr(motion, "linear", False)
-        f, F = linearise(motion, _origin(mean) if linear else mean, dt, u, t)
-        unit = _unit_like(state.matrix)
-        back = solve(transpose(dense(F)), unit)  # F^-T
-        M = congruence(back, state.matrix)
-        L = factor(motion.Q(_known(mean) if linear else mean, dt))
-        ML = transpose(product(M, L))
-        # I + L' M L is never singular: what is certain (Q = 0) and unknown (M = 0) pass alike.
-        root = factor(symmetric_product(transpose(L), ML) + unit)
-        half = transpose(whiten(root, ML))
-        matrix = M - symmetric_product(half, half)
-        vector = apply(matrix, f)
-        if linear:  # f(x) = f(0) + F x, whatever x is
-            y = apply(back, state.vector)
-            vector = vector + y - apply(half, whiten(root, apply(transpose(L), y)))
-        return InformationState(vector, matrix)
+        f, F = linearise(motion, _zeros_like(mean) if linear else mean, dt, u, t)
+        N = solve(transpose(dense(F)), state.root)  # F^-T L: a root of the information about F x
+        noise = factor(motion.Q(_known(mean) if linear else mean, dt))
+        seen = product(transpose(noise), N)
+        n = len(mean)
+        # With G G' = Q: [[I, G' N], [0, N]] has the square [[I + G' M G, G' M], [M G, M]], and that of
+        # its lower right block, made triangular, is M - M G (I + G' M G)^-1 G' M. What is known of x
+        # goes along as a further row.
+        unit = _unit_like(state.root)
+        none = 0.0 * unit
+        joint = _stacked(beside(unit, seen), beside(none, N), beside(none[:1], state.data[None]))
+        root, data = joint[n : 2 * n, n : 2 * n], joint[2 * n, n : 2 * n]
+        offset = apply(transpose(root), f)
+        # f(x) = f(0) + F x if it is linear; else the mean goes to f(x), whatever is known of it.
+        return InformationState(data + offset if linear else offset, root)
 
     def project(self, state: InformationState, sensor: SensorModel, pose: Any = None) -> Projection:
         """``h(x)`` and ``H P H' + R``."""
@@ -119,23 +133,56 @@ class InformationFilter:
         pose: Any = None,
         projection: Projection | None = None,
     ) -> tuple[InformationState, Innovation]:
-        """``Y + H' R^-1 H``; components that are NaN were not measured."""
+        """``Y + H' R^-1 H`` by its root; components that are NaN were not measured."""
         prior = state.moments()
         seen = projected(prior, sensor, pose) if projection is None else projection
         v = sensor.residual(z, seen.z)
         told = condition(prior.mean, prior.cov, v, seen.S, seen.cross)[2:]
         x = prior.mean
         if getattr(sensor, "linear", False) and not any(sensor.space.circular):
-            x = _origin(x)
+            x = _zeros_like(x)  # h(x) = h(0) + H x, whatever x is
         zhat, H = linearise(sensor, x, pose)
         e = sensor.residual(z, zhat) + apply(H, x)
         R, across = without_missing(sensor.R(_known(prior.mean), pose), transpose(dense(H)), e)
-        root = factor(R)
-        half = transpose(whiten(root, transpose(across)))
-        vector = state.vector + apply(half, whiten(root, _known(e)))
-        matrix = state.matrix + symmetric_product(half, half)
+        noise = factor(R)
+        gained = transpose(whiten(noise, transpose(across)))
+        n = len(x)
+        joint = _stacked(
+            beside(state.root, gained), beside(state.data[None], whiten(noise, _known(e))[None])
+        )
+        nothing: Any = 1.0
+        for component in e:
+            nothing = where(isnan(component), nothing, 0.0)
+        same = less(0.5, nothing)
+        data = where(same, state.data, joint[n, :n])
+        root = where(same, state.root, joint[:n, :n])
         innovation = Innovation(v, seen.S, *told, finite(told[0]))
-        return InformationState(vector, matrix), innovation
+        return InformationState(data, root), innovation
+
+
+def _stacked(*rows: Any) -> Any:
+    """Matrices above each other, as one lower triangular matrix of the same square."""
+    batch = np.broadcast_shapes(*(part.shape[2:] for part in rows))
+    return triangularise(
+        np.concatenate([np.broadcast_to(part, part.shape[:2] + batch) for part in rows])
+    )
+
+
+def _informed(mean: Any, cov: Any) -> InformationState:
+    """The information of a Gaussian; NaN where it is singular."""
+    root = triangularise(transpose(_inverted(factor(cov))))
+    return InformationState(apply(transpose(root), mean), root)
+
+
+def _inverted(L: Any) -> Any:
+    """``L^-1`` of a lower triangular L; NaN where it is singular."""
+    flaw: Any = 0.0
+    for i in range(len(L)):
+        flaw = where(less(0.0, L[i, i]), flaw, math.nan)
+    out = whiten(L, _unit_like(L))
+    for i in range(len(L)):
+        out[i, : i + 1] = out[i, : i + 1] + flaw
+    return out
 
 
 def _known(v: Any) -> Any:
@@ -143,7 +190,7 @@ def _known(v: Any) -> Any:
     return np.asarray(where(isnan(v), 0.0, v))
 
 
-def _origin(x: Any) -> Any:
+def _zeros_like(x: Any) -> Any:
     return np.zeros(x.shape).astype(x.dtype)
 
 

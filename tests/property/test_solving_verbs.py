@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tracker import algebra
+from tracker.models import less, where
 from tracker.testing.laws.filter import Traced
 from tracker.types import Array
 
@@ -104,3 +105,11 @@ def test_a_direction_without_spread_is_whitened_to_nothing() -> None:
     assert algebra.whiten(L, v).tolist() == [2.0, 0.0]
     assert algebra.whiten(L[..., None], v[:, None])[:, 0].tolist() == [2.0, 0.0]
     assert on_nodes(algebra.whiten, L, v).tolist() == [2.0, 0.0]
+
+
+def test_a_choice_between_arrays_of_components_may_hang_on_one_node() -> None:
+    def chosen(v: Array) -> Array:
+        return where(less(v[0], 0.0), v, 2.0 * v)
+
+    for v in (np.array([-1.0, 3.0]), np.array([1.0, 3.0])):
+        assert on_nodes(chosen, v).tolist() == chosen(v).tolist()
