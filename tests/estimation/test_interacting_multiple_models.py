@@ -1,0 +1,353 @@
+"""Motions that switch, the filter of all their modes, and its smoother: laws, edges and truth."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import tracker as tk
+from tracker.errors import CapabilityError, DomainError, ShapeError
+from tracker.models import ComponentMotion
+from tracker_kalman import InteractingMultipleModels, ModeSmoother
+from tracker_motion import constant_acceleration, constant_velocity, coordinated_turn, switching
+from tracker_sensors import azimuth, position, stack
+
+CALM, WILD = constant_velocity(0.01), constant_velocity(10.0)
+CHAIN = [[0.9, 0.1], [0.3, 0.7]]
+PRIOR = tk.Gaussian(np.zeros(4), np.diag([4.0, 4.0, 1.0, 1.0]))
+STEPS = 25
+
+
+def record(batch=(), seed=1, missing=0.1):
+    """Times, some equal, and positions of anything, some missing."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.choice([0.0, 0.5, 1.0], STEPS))
+    z = np.cumsum(rng.standard_normal((STEPS, 2, *batch)), axis=0)
+    z[rng.uniform(size=z.shape) < missing] = np.nan
+    return tk.Record(t, z)
+
+
+def run(motion, rule="imm", sensor=None, smoother=None, prior=PRIOR, measured=None):
+    sensor = position(1.0) if sensor is None else sensor
+    built = tk.estimator(rule, motion=motion, sensor=sensor, smoother=smoother)
+    done = tk.filter if smoother is None else tk.smooth
+    return done(built, record() if measured is None else measured, prior, start=0.0)
+
+
+def same(a, b, tolerance=1e-9):
+    for name in ("predicted", "filtered"):
+        x, y = getattr(a, name), getattr(b, name)
+        np.testing.assert_allclose(x.mean, y.mean, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(x.cov, y.cov, rtol=0, atol=tolerance)
+    for name in ("nis", "loglik", "count"):
+        x, y = (getattr(h.innovation, name) for h in (a, b))
+        np.testing.assert_allclose(x, y, rtol=1e-9, atol=tolerance)
+
+
+# ------------------------------------------------------------------------------------- motion
+def test_the_state_of_a_switching_motion_is_the_union_of_its_modes():
+    motion = switching([coordinated_turn(0.1, 0.01), constant_acceleration(1.0)], CHAIN)
+    assert motion.space.names == ("x", "y", "vx", "vy", "omega", "ax", "ay")
+    assert motion.places == ((0, 1, 2, 3, 4), (0, 1, 2, 3, 5, 6))
+
+
+def test_rates_give_the_matrix_exponential_at_any_step():
+    rates = np.array([[0.0, 0.3, 0.1], [0.02, 0.0, 0.5], [1e-6, 2.0, 0.0]])
+    motion = switching([CALM, WILD, CALM], rates=rates)
+    generator = rates - np.diag(rates.sum(axis=1))
+    for dt in (0.0, 1e-9, 0.1, 10.0, 1e4):
+        np.testing.assert_allclose(motion.transition(dt), expm(generator * dt), rtol=0, atol=1e-11)
+    half, whole = np.array(motion.transition(0.35)), np.array(motion.transition(0.7))
+    np.testing.assert_allclose(half @ half, whole, rtol=0, atol=1e-14)
+
+
+def test_nothing_switches_in_no_time():
+    assert switching([CALM, WILD], CHAIN).transition(0.0) == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"modes": []}, ShapeError, "at least one motion"),
+        ({"transition": None}, CapabilityError, "neither"),
+        ({"rates": CHAIN}, CapabilityError, "both"),
+        ({"transition": [[1.0]]}, ShapeError, "(2, 2)"),
+        ({"transition": [[0.9, 0.2], [0.5, 0.5]]}, DomainError, "sum to one"),
+        ({"transition": None, "rates": [[0.0, -1.0], [1.0, 0.0]]}, DomainError, "not negative"),
+        ({"initial": [0.5, 0.6]}, DomainError, "sum to one"),
+    ],
+)
+def test_a_wrong_chain_is_refused_in_words(change, error, words):
+    given = {"modes": [CALM, WILD], "transition": CHAIN} | change
+    with pytest.raises(error) as told:
+        switching(**given)
+    assert words in str(told.value)
+
+
+# ------------------------------------------------------------------------------------- filter
+@pytest.mark.parametrize("batch", [(), (7,), (3, 5)])
+@pytest.mark.parametrize("rule", ["kf", "ekf1", "ukf"])
+def test_equal_modes_are_one_filter(batch, rule):
+    equal = switching([CALM, CALM, CALM], [[0.8, 0.1, 0.1], [0.0, 0.5, 0.5], [0.2, 0.3, 0.5]])
+    measured = record(batch)
+    want = run(CALM, rule, measured=measured)
+    same(run(equal, InteractingMultipleModels(rule), measured=measured), want)
+    same(run(CALM, InteractingMultipleModels(rule), measured=measured), want)
+    same(run(switching([CALM]), InteractingMultipleModels(rule), measured=measured), want)
+
+
+def test_the_order_of_the_modes_does_not_matter():
+    rng = np.random.default_rng(3)
+    modes = [CALM, WILD, constant_acceleration(0.5)]
+    chain, initial = rng.dirichlet(np.ones(3), 3), rng.dirichlet(np.ones(3))
+    prior = tk.Gaussian(np.zeros(6), np.eye(6))
+    want = run(switching(modes, chain, initial=initial), prior=prior)
+    for order in itertools.permutations(range(3)):
+        if modes[order[0]].space.size != 4:
+            continue  # the components would come in another order
+        turned = [modes[i] for i in order], chain[np.ix_(order, order)]
+        same(run(switching(*turned, initial=initial[list(order)]), prior=prior), want)
+
+
+def test_every_lane_may_have_its_own_parameters():
+    q, stay = np.array([0.01, 0.1, 1.0]), np.array([0.95, 0.8, 0.6])
+    per_lane = switching([CALM, WILD], CHAIN).with_parameters(density_1=q, switch_1_2=1.0 - stay)
+    together = run(per_lane, measured=record((3,)))
+    for lane in range(3):
+        own = switching(
+            [constant_velocity(q[lane]), WILD], [[stay[lane], 1.0 - stay[lane]], CHAIN[1]]
+        )
+        alone = run(own, measured=tk.Record(record((3,)).t, record((3,)).z[..., lane]))
+        for name in ("mean", "cov"):
+            ours = getattr(together.filtered, name)[..., lane]
+            np.testing.assert_allclose(ours, getattr(alone.filtered, name), rtol=0, atol=1e-9)
+
+
+def test_components_that_a_mode_lacks_are_zero_as_in_a_larger_motion_that_keeps_them_zero():
+    def advance(x, y, vx, vy, ax, ay, *, dt):
+        return x + dt * vx, y + dt * vy, vx, vy, 0.0 * ax, 0.0 * ay
+
+    small = constant_velocity(0.01)
+
+    def noise(*, dt):
+        q = small.Q(np.zeros(4), float(dt)) if isinstance(dt, float) else None
+        if q is None:
+            a, b, c = 0.01 * dt**3 / 3.0, 0.01 * dt**2 / 2.0, 0.01 * dt
+            q = ((a, 0.0, b, 0.0), (0.0, a, 0.0, b), (b, 0.0, c, 0.0), (0.0, b, 0.0, c))
+        rows = [[0.0] * 6 for _ in range(6)]
+        for i in range(4):
+            for j in range(4):
+                rows[i][j] = q[i][j]
+        return tuple(map(tuple, rows))
+
+    larger = ComponentMotion(
+        name="no acceleration", advance=advance, noise=noise, space=constant_acceleration(1.0).space
+    )
+    prior = tk.Gaussian(np.zeros(6), np.diag([4.0, 4.0, 1.0, 1.0, 0.0, 0.0]))
+    other = constant_acceleration(1.0)
+    want = run(switching([larger, other], CHAIN), prior=prior)
+    same(run(switching([small, other], CHAIN), prior=prior), want, 1e-8)
+
+
+def test_without_measurements_modes_follow_their_chain():
+    motion = switching([CALM, WILD], CHAIN, initial=[0.2, 0.8])
+    built = tk.estimator("imm", motion=motion, sensor=position(1.0))
+    state = built.begin(PRIOR)
+    chances = np.array([0.2, 0.8])
+    for _ in range(4):
+        state, told = built.step(state, [np.nan, np.nan], 1.0)
+        chances = chances @ CHAIN
+        np.testing.assert_allclose(state.probabilities, chances, rtol=1e-13)
+        assert (told.nis, told.loglik, told.count) == (0.0, 0.0, 0.0)
+        assert told.ok
+
+
+def test_the_likelihood_of_a_record_is_that_of_all_modes():
+    # With modes that never switch, the record's likelihood is a mixture of each mode's own.
+    motion = switching([CALM, WILD], np.eye(2), initial=[0.3, 0.7])
+    own = [run(mode, "kf").innovation.loglik.sum() for mode in (CALM, WILD)]
+    want = np.logaddexp(np.log(0.3) + own[0], np.log(0.7) + own[1])
+    np.testing.assert_allclose(run(motion).innovation.loglik.sum(), want, rtol=1e-12)
+
+
+def test_no_likelihood_underflows_and_an_unlikely_mode_comes_back():
+    motion = switching([CALM, WILD], np.eye(2))
+    far = np.zeros((40, 2))
+    far[:20] += 1e5 * (-1.0) ** np.arange(20)[:, None]  # tens of thousands of nats against calm
+    history = run(motion, measured=tk.Record(np.arange(1.0, 41.0), far))
+    assert history.innovation.ok.all()
+    assert np.isfinite(history.innovation.loglik).all()
+    calm = np.concatenate([far[:20], np.zeros((2000, 2))])
+    later = run(motion, measured=tk.Record(np.arange(1.0, 2021.0), calm))
+    alone = run(CALM, "kf", measured=tk.Record(np.arange(1.0, 2021.0), calm))
+    np.testing.assert_allclose(later.filtered.cov[-1], alone.filtered.cov[-1], rtol=1e-6)
+
+
+def test_a_mode_that_is_lost_starts_again_and_a_lane_is_lost_with_all_of_them():
+    def advance(x, y, vx, vy, *, dt, gone):
+        return x + dt * vx + gone, y + dt * vy, vx, vy
+
+    fragile = ComponentMotion(
+        name="fragile", advance=advance, noise=CALM.noise, space=CALM.space,
+        parameters={"gone": 0.0, "density": 0.01},
+    )  # fmt: skip
+    huge = np.array([0.0, 1e200, 0.0])
+    motion = switching([fragile, WILD], CHAIN)
+    one_lost = run(motion.with_parameters(gone_1=huge), measured=record((3,), missing=0.0))
+    assert one_lost.innovation.ok.all()
+    assert np.isfinite(one_lost.filtered.mean).all()
+    both = switching([fragile, fragile], CHAIN).with_parameters(gone_1=huge, gone_2=huge)
+    all_lost = run(both, measured=record((3,), missing=0.0))
+    assert all_lost.innovation.ok.all(axis=0).tolist() == [True, False, True]
+    well = run(switching([fragile, fragile], CHAIN), measured=record((3,), missing=0.0))
+    for lane in (0, 2):
+        assert np.array_equal(all_lost.filtered.mean[..., lane], well.filtered.mean[..., lane])
+
+
+def test_a_mode_of_probability_zero_stays_so():
+    motion = switching([CALM, WILD], np.eye(2), initial=[1.0, 0.0])
+    same(run(motion), run(CALM, "kf"))
+
+
+def test_filters_may_differ_between_modes_but_there_must_be_enough():
+    motion = switching([CALM, WILD], CHAIN)
+    same(run(motion, InteractingMultipleModels(["ekf1", "ukf"])), run(motion), 1e-8)
+    with pytest.raises(CapabilityError, match="3 filters for 2 modes"):
+        run(motion, InteractingMultipleModels(["ekf1"] * 3))
+    with pytest.raises(DomainError, match="common"):
+        InteractingMultipleModels(missing="somehow")
+
+
+def test_it_is_compiled_over_modes_of_different_size(interpretation):
+    motion = switching([CALM, coordinated_turn(0.01, 0.1)], CHAIN)
+    sensor = stack([azimuth(0.1).at(sx=9.0, sy=0.0), azimuth(0.1).at(sx=0.0, sy=9.0)])
+    for missing in ("zero", "prior", "common"):
+        rule = InteractingMultipleModels(missing=missing)
+        built = tk.estimator(rule, motion=motion, sensor=sensor)
+        if interpretation == "compiled":
+            assert "one compiled step" in built.explain()
+        rng = np.random.default_rng(2)
+        measured = tk.Record(np.arange(1.0, 11.0), rng.uniform(-3.0, 3.0, (10, 2, 9)))
+        prior = tk.Gaussian(np.zeros(5), np.eye(5))
+        several = tk.filter(built, measured, prior, start=0.0)
+        alone = tk.filter(built, tk.Record(measured.t, measured.z[..., 4]), prior, start=0.0)
+        np.testing.assert_allclose(several.filtered.mean[..., 4], alone.filtered.mean, atol=1e-9)
+        np.testing.assert_allclose(several.filtered.cov[..., 4], alone.filtered.cov, atol=1e-9)
+
+
+def test_modes_with_other_numbers_share_a_compiled_step():
+    from tracker.compile.fuse import structure
+
+    one, two = (
+        switching([constant_velocity(q), WILD], c) for q, c in ((0.1, CHAIN), (2.0, np.eye(2)))
+    )
+    assert structure(one) == structure(two)
+    assert hash(structure(one)) == hash(structure(two))
+    assert structure(one) != structure(switching([WILD, WILD, WILD], np.eye(3)))
+
+
+# ----------------------------------------------------------------------------------- smoother
+@pytest.mark.parametrize("batch", [(), (7,), (3, 5)])
+def test_one_mode_is_smoothed_as_by_rts(batch):
+    measured = record(batch)
+    want = run(CALM, "kf", smoother="rts", measured=measured).smoothed
+    equal = switching([CALM, CALM], CHAIN)
+    for motion in (CALM, equal):
+        found = run(motion, smoother="imm_smoother", measured=measured).smoothed
+        np.testing.assert_allclose(found.mean, want.mean, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.cov, want.cov, rtol=0, atol=1e-9)
+
+
+def test_a_smoother_of_modes_needs_their_beliefs():
+    motion = switching([CALM, WILD], CHAIN)
+    with pytest.raises(CapabilityError, match="imm_smoother"):
+        ModeSmoother().smooth(run(motion), motion)
+
+
+def test_a_lane_that_diverged_harms_no_neighbour_backwards():
+    motion = switching([CALM, WILD], CHAIN)
+    measured = record((3,), missing=0.0)
+    prior = np.zeros((4, 3)), np.repeat(np.eye(4)[..., None], 3, axis=2)
+    well = run(motion, smoother="imm_smoother", measured=measured, prior=tk.Gaussian(*prior))
+    prior[0][:, 1] = np.nan
+    ill = run(motion, smoother="imm_smoother", measured=measured, prior=tk.Gaussian(*prior))
+    assert np.isnan(ill.smoothed.mean[..., 1]).all()
+    for lane in (0, 2):
+        assert np.array_equal(ill.smoothed.mean[..., lane], well.smoothed.mean[..., lane])
+
+
+class Exact:
+    """All sequences of modes, each with its own Kalman filter and smoother, weighted by likelihood."""
+
+    def __init__(self, motion, prior, t, z):
+        chain, first = np.array(motion.transition(1.0)), np.array(motion.initial)
+        steps, count = len(t), len(motion.modes)
+        sequences = np.array(list(itertools.product(range(count), repeat=steps)))
+        weights, means, covs = [], [], []
+        for sequence in sequences:
+            weight = np.log((first @ chain)[sequence[0]])
+            weight += np.log(chain[sequence[:-1], sequence[1:]]).sum()
+            loglik, mean, cov = self.one(motion, sequence, prior, t, z)
+            weights.append(weight + loglik)
+            means.append(mean)
+            covs.append(cov)
+        share = np.exp(weights - np.logaddexp.reduce(weights))
+        means = np.array(means)
+        self.mean = np.einsum("s,ski->ki", share, means)
+        apart = means - self.mean
+        self.cov = np.einsum("s,skij->kij", share, np.array(covs))
+        self.cov += np.einsum("s,ski,skj->kij", share, apart, apart)
+        chosen = sequences[..., None] == np.arange(count)
+        self.probabilities = np.einsum("s,skm->km", share, chosen)
+
+    @staticmethod
+    def one(motion, sequence, prior, t, z):
+        x, P, H, loglik, past, before = prior.mean, prior.cov, np.eye(2, 4), 0.0, [], 0.0
+        for k, mode in enumerate(sequence):
+            F = motion.modes[mode].jacobian(x, t[k] - before)
+            ahead, C = F @ x, F @ P @ F.T + motion.modes[mode].Q(x, t[k] - before)
+            S, v = H @ C @ H.T + np.eye(2), z[k] - H @ ahead
+            K = np.linalg.solve(S, H @ C).T
+            loglik -= 0.5 * (v @ np.linalg.solve(S, v) + np.linalg.slogdet(2.0 * np.pi * S)[1])
+            x, P, before = ahead + K @ v, C - K @ S @ K.T, t[k]
+            past.append((F, ahead, C, x, P))
+        mean, cov = [x], [P]
+        for k in range(len(sequence) - 2, -1, -1):
+            F, ahead, C, _, _ = past[k + 1]
+            _, _, _, x, P = past[k]
+            G = np.linalg.solve(C, F @ P).T
+            mean.append(x + G @ (mean[-1] - ahead))
+            cov.append(P + G @ (cov[-1] - C) @ G.T)
+        return loglik, np.array(mean[::-1]), np.array(cov[::-1])
+
+
+def test_the_smoother_is_close_to_the_sum_over_all_sequences_of_modes():
+    """And five times closer than the filter: 12 records of 8 steps drawn from the model, fixed seed."""
+    motion, t = switching([CALM, WILD], CHAIN, initial=[0.8, 0.2]), np.arange(1.0, 9.0)
+    rng, gaps = np.random.default_rng(0), []
+    for _ in range(12):
+        x, mode, z = PRIOR.sample(rng=rng), rng.choice(2, p=motion.initial), []
+        for _ in t:
+            mode = rng.choice(2, p=motion.transition(1.0)[mode])
+            Q = motion.modes[mode].Q(x, 1.0)
+            x = motion.modes[mode].f(x, 1.0) + np.linalg.cholesky(Q) @ rng.standard_normal(4)
+            z.append(x[:2] + rng.standard_normal(2))
+        measured = tk.Record(t, np.array(z))
+        want = Exact(motion, PRIOR, t, measured.z)
+        history, modes = ModeSmoother().modes(
+            run(motion, smoother="imm_smoother", measured=measured), motion
+        )
+        before = np.array([b.probabilities for b in history.beliefs.filtered])
+        after = np.array([b.probabilities for b in modes])
+        gaps.append(
+            [
+                np.abs(history.filtered.mean - want.mean)[:, :2].mean(),
+                np.abs(history.smoothed.mean - want.mean)[:, :2].mean(),
+                np.abs(before - want.probabilities).mean(),
+                np.abs(after - want.probabilities).mean(),
+            ]
+        )
+    filtered, smoothed, guessed, known = np.mean(gaps, axis=0)
+    assert smoothed < 0.2 * filtered, (smoothed, filtered)
+    assert known < 0.4 * guessed, (known, guessed)
