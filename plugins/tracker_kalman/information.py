@@ -137,7 +137,7 @@ class InformationFilter:
         prior = state.moments()
         seen = projected(prior, sensor, pose) if projection is None else projection
         v = sensor.residual(z, seen.z)
-        told = condition(prior.mean, prior.cov, v, seen.S, seen.cross)[2:]
+        _, _, nis, loglik, count = condition(prior.mean, prior.cov, v, seen.S, seen.cross)
         x = prior.mean
         if getattr(sensor, "linear", False) and not any(sensor.space.circular):
             x = _zeros_like(x)  # h(x) = h(0) + H x, whatever x is
@@ -156,7 +156,7 @@ class InformationFilter:
         same = less(0.5, nothing)
         data = where(same, state.data, joint[n, :n])
         root = where(same, state.root, joint[:n, :n])
-        innovation = Innovation(v, seen.S, *told, finite(told[0]))
+        innovation = Innovation(v, seen.S, nis, loglik, count, finite(nis))
         return InformationState(data, root), innovation
 
 

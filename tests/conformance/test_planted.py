@@ -275,6 +275,13 @@ class SpreadsNaN(ExtendedKalmanFilter):
         return Gaussian.trusted(after.mean + 0.0 * np.sum(after.mean), after.cov), told
 
 
+class AnotherOnNodes(ExtendedKalmanFilter):
+    def update(self, state, sensor, z, pose=None, projection=None):
+        after, told = super().update(state, sensor, z, pose, projection)
+        shift = 1e-6 if after.mean.dtype.hasobject else 0.0
+        return Gaussian.trusted(after.mean + shift, after.cov), told
+
+
 class ForgetsTheFuture(RauchTungStriebel):
     def step(self, filtered, predicted, smoothed, motion, dt, u=None, t=None):
         return filtered
@@ -375,6 +382,8 @@ PLANTED = [
     (Overconfident(), "NEES in its band"),
     (Overconfident(), "NIS in its band"),
     (SpreadsNaN(), "a diverged lane harms no neighbour"),
+    (AnotherOnNodes(), "compiled agrees with arrays"),
+    (AnotherOnNodes(), "interpretations agree"),
     (ForgetsTheFuture(), "equals batch least squares"),
     (SmoothsTheEnd(), "last step equals the filter"),
     (Reflected(), "never above the filter"),
