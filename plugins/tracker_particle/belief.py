@@ -32,6 +32,33 @@ class Particles:
     key: draws.Keys = attrs.field(repr=False)
     step: int = 0
     circular: Flags = ()
+    known: Gaussian | None = attrs.field(default=None, init=False, repr=False)
+    """The moments, where they were found on the way; a changed copy does not have them."""
+    known_size: float | None = attrs.field(default=None, init=False, repr=False)
+    memory: Any = attrs.field(default=None, init=False, repr=False)
+    """What points and log weights look into, where a compiled pass wrote them."""
+
+    @classmethod
+    def known_as(
+        cls,
+        points: Array,
+        log_weights: Array,
+        key: draws.Keys,
+        step: int,
+        circular: Flags,
+        moments: Gaussian | None,
+        size: float | None = None,
+        memory: Any = None,
+    ) -> Particles:
+        """Particles whose moments, and perhaps effective sample size, are known already."""
+        made = object.__new__(cls)
+        for fill, value in zip(
+            _FILL,
+            (points, log_weights, key, step, circular, moments, size, memory),
+            strict=True,
+        ):
+            fill(made, value)
+        return made
 
     @property
     def weights(self) -> Array:
@@ -45,11 +72,19 @@ class Particles:
         Reference:
             Kong, Liu and Wong 1994; Doucet, Godsill and Andrieu 2000, eq. 51.
         """
+        if self.known_size is not None:
+            return self.known_size
         return effective_sample_size(self.weights)
 
     def moments(self) -> Gaussian:
         """Mean and covariance; circular components by their mean direction and the turns from it."""
+        if self.known is not None:
+            return self.known
         return moments(self.points, self.weights, self.circular)
+
+
+# A frozen class refuses assignment, and object.__setattr__ costs twice what a slot's setter does.
+_FILL = tuple(vars(Particles)[field.name].__set__ for field in attrs.fields(Particles))
 
 
 def effective_sample_size(weights: Array) -> Any:

@@ -26,11 +26,19 @@ Keys = npt.NDArray[np.uint64]
 START, NOISE, RESAMPLING, KERNEL, FIRST_STAGE, BACKWARD = range(6)
 """What a draw is for; never renumbered."""
 
-_PURPOSES = 256
-_MIXING = 18
+STREAMS = 8
+"""Generators side by side behind the normals of a lane: as many as a vector has places, so that
+machine code can run them all at once (`tracker_particle.kernels`)."""
+
+MIXING = 18
 """Outputs that are thrown away after seeding (PractRand, sfc.cpp)."""
 
 _WORDS = struct.Struct("=4Q")
+
+
+def word(step: int, purpose: int) -> int:
+    """The third word of a seed; the lowest byte is the number of the stream."""
+    return (step << 16) + (purpose << 8)
 
 
 class _Source(threading.local):
@@ -43,11 +51,11 @@ class _Source(threading.local):
         self.words = memoryview(words.data).cast("B")
         self.state: Any = {**self.bits.state, "state": {"state": words}}
 
-    def fill(self, out: Array, first: int, second: int, step: int, purpose: int) -> None:
-        """Fill a row that belongs to the lane of these two words."""
-        _WORDS.pack_into(self.words, 0, first, second, step * _PURPOSES + purpose, 1)
+    def fill(self, out: Array, first: int, second: int, third: int) -> None:
+        """Fill a row with the uniforms of these three words."""
+        _WORDS.pack_into(self.words, 0, first, second, third, 1)
         self.bits.state = self.state
-        self.bits.random_raw(_MIXING, output=False)
+        self.bits.random_raw(MIXING, output=False)
         self.generator.random(out=out)
 
 
@@ -71,7 +79,7 @@ def uniforms(key: Keys, step: int, purpose: int, count: int) -> Array:
     first, second = key.reshape(2, -1).tolist()
     out = np.empty((len(first), count))
     for row, one, two in zip(out, first, second, strict=True):
-        _source.fill(row, one, two, step, purpose)
+        _source.fill(row, one, two, word(step, purpose))
     return np.ascontiguousarray(out.T).reshape(count, *key.shape[1:])
 
 
@@ -83,15 +91,18 @@ def normals(key: Keys, step: int, purpose: int, rows: int, count: int) -> Array:
         vector form of the tangent, and none of them.
     """
     first, second = key.reshape(2, -1).tolist()
-    lanes, size = len(first), rows * count
-    half = (size + 1) // 2
-    drawn = np.empty((lanes, 2 * half))
-    for row, one, two in zip(drawn, first, second, strict=True):
-        _source.fill(row, one, two, step, purpose)
+    half, groups = -(-rows // 2), -(-count // STREAMS)
+    drawn = np.empty((len(first), 2 * half, groups, STREAMS))
+    third = word(step, purpose)
+    streams = np.empty((STREAMS, groups * 2 * half))
+    for own, one, two in zip(drawn, first, second, strict=True):
+        for j, stream in enumerate(streams):
+            _source.fill(stream, one, two, third + j)
+        own[:] = streams.reshape(STREAMS, groups, 2 * half).T
     _box_muller(drawn[:, :half], drawn[:, half:])
-    if lanes == 1:
-        return drawn[0, :size].reshape(rows, count, *key.shape[1:])
-    return np.ascontiguousarray(drawn[:, :size].T).reshape(rows, count, *key.shape[1:])
+    flat = drawn.reshape(len(drawn), 2 * half, groups * STREAMS)[:, :rows, :count]
+    out: Array = flat[0] if len(drawn) == 1 else np.ascontiguousarray(np.moveaxis(flat, 0, -1))
+    return out.reshape(rows, count, *key.shape[1:])
 
 
 def _box_muller(a: Any, b: Any) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from tracker.protocols import SensorModel
 from tracker.types import Array, Innovation, Projection
+from tracker_particle import kernels
 from tracker_particle.belief import Flags, Particles, centred, mean_of, outer
 from tracker_particle.propagation import log_sum, wide
 
@@ -124,6 +125,12 @@ def weighed(
     Reference:
         Gordon, Salmond and Smith 1993; Doucet, Godsill and Andrieu 2000, eq. 10.
     """
+    if z.ndim == 1:
+        measured = z.tolist()
+        if any(a == a for a in measured):  # noqa: PLR0124 - not NaN
+            made = kernels.weigh(state, sensor, measured, pose)
+            if made is not None:
+                return made if projection is None else _beside(made, projection, sensor, z)
     what = seen(state.points, sensor, z, pose)
     after, loglik = log_sum(state.log_weights + what.log_likelihood)
     unseen = what.missing.all(axis=0)
@@ -134,6 +141,16 @@ def weighed(
     innovation = surprise(state.weights, what, projection, sensor, z, loglik)
     flags = tuple(sensor.state.circular) if hasattr(sensor, "state") else state.circular
     return attrs.evolve(state, log_weights=after, circular=flags), innovation
+
+
+def _beside(
+    made: tuple[Particles, Innovation], projection: Projection, sensor: SensorModel, z: Any
+) -> tuple[Particles, Innovation]:
+    """The same, with the innovation of a projection that was computed before."""
+    v = np.asarray(sensor.residual(z, projection.z))
+    nis: Any = _distance_of_one(v.tolist(), projection.S.tolist())
+    ok: Any = math.isfinite(nis)
+    return made[0], attrs.evolve(made[1], residual=v, S=projection.S, nis=nis, ok=ok)
 
 
 def surprise(

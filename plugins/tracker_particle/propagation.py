@@ -11,7 +11,7 @@ import numpy as np
 
 from tracker.protocols import MotionModel
 from tracker.types import Array
-from tracker_particle import draws
+from tracker_particle import draws, kernels
 from tracker_particle.belief import Particles, effective_sample_size, even, spread
 from tracker_particle.resampling import Ancestors, Scheme
 
@@ -69,9 +69,11 @@ def noise(state: Any, count: int, columns: int) -> Array:
 def propagated(state: Particles, motion: MotionModel, dt: Any, u: Any, t: Any) -> Particles:
     """Each particle through the motion, with noise of its own."""
     points = state.points
-    Q = motion.Q(points, dt)
+    G = root(motion.Q(points, dt))
+    made = kernels.ahead(state, motion, dt, u, t, G)
+    if made is not None:
+        return made
     ahead = motion.f(points, dt, wide(u), t)
-    G = root(Q)
     if G.shape[1]:
         ahead = ahead + spread(G, noise(state, points.shape[1], G.shape[1]))
     return attrs.evolve(
@@ -115,12 +117,15 @@ def picked(points: Array, ancestors: Ancestors) -> Array:
 
 def resampled(state: Particles, scheme: Scheme, threshold: float) -> Particles:
     """The same belief in particles of even weight, in the lanes where it is due."""
+    if state.known_size is not None and state.known_size >= threshold * len(state.log_weights):
+        return state
     weights = state.weights
     needed = due(weights, threshold)
     if not np.any(needed):
         return state
     ancestors, after = chosen(state, weights, scheme, draws.RESAMPLING, needed)
-    return attrs.evolve(state, points=picked(state.points, ancestors), log_weights=after)
+    points = picked(state.points, ancestors)
+    return Particles(points, after, state.key, state.step, state.circular)
 
 
 def log_sum(log_weights: Array) -> tuple[Array, Any]:

@@ -62,8 +62,8 @@ class Systematic:
 
     def __call__(self, weights: Array, uniform: Array) -> Ancestors:
         """Ancestors, ``(N, *batch)``."""
-        below = _cumulated(weights)
-        below *= len(weights)
+        below = np.add.accumulate(weights, axis=0)
+        below *= len(weights) / below[-1]
         below -= np.minimum(uniform, 1.0 - _GRAIN)  # N - u must not round to N - 1
         return _ancestors(np.ceil(below, out=below))
 
