@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
-import numpy as np
 
 from tracker.errors import CapabilityError, ShapeError, wording
 from tracker.models import ComponentMotion, positive
@@ -111,7 +110,7 @@ def augmented(
         raise ShapeError(
             wording(
                 "parameter 'density' of motion 'augmented'",
-                got=f"{np.shape(density)} for {len(space)} components",
+                got=f"{len(densities)} densities for {len(space)} components",
                 expected="at least one component, and one density for all or one for each",
                 do="give a number, or a tuple with one per component",
             )
