@@ -236,7 +236,7 @@ class Estimator:
                     "argument 'dt'",
                     got=f"{dt}",
                     expected="seconds that are not negative",
-                    do="give late measurements in time order",
+                    do="give late measurements in time order, or let tk.FixedLag do it",
                 )
             )
         if isinstance(state, Gaussian) and (self.adapter or hasattr(self.filter, "begin")):

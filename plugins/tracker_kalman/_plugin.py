@@ -260,7 +260,7 @@ def tracker_components(registry: Registry) -> None:
     registry.add(
         Component(
             kind="smoother",
-            name="rts_square_root",
+            name="square_root_rts",
             target="tracker_kalman.square_root_rts:SquareRootRauchTungStriebel",
             summary="Rauch-Tung-Striebel in square-root form: covariances are never subtracted.",
             paper="Park and Kailath, Square-root RTS smoothing algorithms, 1995",

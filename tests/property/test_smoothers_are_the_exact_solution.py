@@ -14,7 +14,7 @@ from tracker_kalman import FixedLagSmoother, FixedPoint, RauchTungStriebel
 from tracker_motion import constant_velocity, coordinated_turn
 
 SEEDS = st.integers(0, 2**32 - 1)
-INTERVAL = ["rts", "rts_square_root", "two_filter", "fixed_lag"]
+INTERVAL = ["rts", "square_root_rts", "two_filter", "fixed_lag"]
 NOMINAL = constant_velocity(0.5)
 
 

@@ -83,7 +83,7 @@ def test_from_the_last_estimate_measurements_count_twice() -> None:
 
 
 def test_square_root_and_fixed_lag_smoothers_agree_too() -> None:
-    for name in ("rts_square_root", "fixed_lag"):
+    for name in ("square_root_rts", "fixed_lag"):
         rule = name if name != "fixed_lag" else tk.smoothers.make(name, lag=1000)
         for problem, filter_, table in (
             (two_bearings("seed1"), "ekf1", "ekf1_rts"),

@@ -13,6 +13,7 @@ import numpy as np
 from tracker.errors import TrackerError
 from tracker.metrics.consistency import Band, chi_square_band, whiteness
 from tracker.metrics.observability import (
+    LITTLE,
     Observability,
     blind_spots,
     noise_free_path,
@@ -138,8 +139,7 @@ def _seen(found: Observability | None) -> str:
     if found is None:
         return "unknown: no record, or models without derivatives"
     least = float(np.nanmedian(found.ratios[0])) if np.isfinite(found.ratios[0]).any() else np.nan
-    rank = int(np.median(found.rank))
-    return (
-        f"rank {rank} of {len(found.ratios)}; the record says {max(least, 0.0):.3g} times as much as "
-        "the prior of the direction it sees least"
-    )
+    rank = f"rank {int(np.median(found.rank))} of {len(found.ratios)}"
+    if least < LITTLE:
+        return f"{rank}; of one direction the record says next to nothing"
+    return f"{rank}; {least:.3g} times as much as the prior of the direction that is seen least"
