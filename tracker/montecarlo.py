@@ -39,6 +39,9 @@ BLOCK = 32
 DIVERGED = 10.0
 """A run has diverged if its final error exceeds this many times the median final error."""
 
+SLIGHT = 1.25
+"""A mean NEES that is wrong by a smaller factor is called slightly so: many runs show the smallest one."""
+
 PER_STEP = ("squared_error", "nees", "nis", "count", "finite")
 PER_RUN = (
     "rmse",
@@ -245,8 +248,9 @@ class Campaign:
             ratio = row["nees"] / scores.n
             if "nees" in (metrics or ("nees",)) and row["nees_share"] < 0.5:
                 word = "overconfident" if ratio > 1 else "underconfident"
+                slightly = "slightly " if 1.0 / SLIGHT < ratio < SLIGHT else ""
                 out.append(
-                    f"{label} is {word}: mean NEES is {ratio:.3g} times what a consistent estimator "
+                    f"{label} is {slightly}{word}: mean NEES is {ratio:.3g} times what a consistent estimator "
                     f"has, and inside its band at only {row['nees_share']:.0%} of the steps."
                 )
             tail = row["final_share"]
