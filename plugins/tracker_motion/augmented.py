@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import attrs
 
@@ -65,7 +65,9 @@ class _Noise:
 
 
 def augmented(
-    motion: MotionModel, components: Sequence[str], density: ArrayLike | Sequence[ArrayLike] = 0.0
+    motion: MotionModel,
+    components: Sequence[str],
+    density: Annotated[ArrayLike | Sequence[ArrayLike], "unit^2/s"] = 0.0,
 ) -> ComponentMotion:
     """The same motion with further components that are constant, or drift as random walks.
 
