@@ -227,6 +227,16 @@ def test_every_summary_of_a_straight_observer_says_that_the_range_is_unobservabl
     assert "range is unobservable" in tk.smooth(est, one, made.prior[..., :1], start=0.0).summary()
 
 
+@pytest.mark.parametrize("rule", ["ukf", "ckf", "range_parameterised", "gaussian_sum", "bootstrap"])
+def test_whatever_the_filter_the_range_is_unobservable(rule):
+    scene = tk.scenario("moving_observer", path="straight")
+    made = scene.simulate(3, 4)
+    est = tk.estimator(rule, motion=scene.motion, sensor=scene.sensor)
+    random = {"rng": np.random.default_rng(1)} if rule == "bootstrap" else {}
+    history = tk.filter(est, made.record, made.prior, start=made.start, **random)
+    assert "the range is unobservable" in history.summary()
+
+
 def test_a_campaign_says_that_the_range_is_unobservable_and_says_so_again_when_loaded(tmp_path):
     scene = tk.scenario("moving_observer", path="straight")
     built = {

@@ -219,3 +219,37 @@ def test_a_window_is_a_value():
     assert after.rows[0].z.tolist() == [1.0, 2.0]
     assert after.innovation is after.rows[-1].innovation
     assert float(after.innovation.count) == 2.0
+
+
+# -------------------------------------------------------------------- filters of every kind
+def test_late_measurements_of_modes_are_smoothed_as_those_in_time():
+    motion = tk.motions.make(
+        "switching",
+        modes=[constant_velocity(0.01), constant_velocity(1.0)],
+        transition=[[0.95, 0.05], [0.05, 0.95]],
+    )
+    est = tk.estimator("imm", motion=motion, sensor=position(2.0), smoother="imm_smoother")
+    z = np.random.default_rng(0).normal(0.0, 3.0, (12, 2)) + np.arange(12.0)[:, None]
+    prior = tk.Gaussian(np.zeros(4), 100.0 * np.eye(4))
+    history = tk.smooth(est, tk.Record(np.arange(12.0), z), prior, start=0.0)
+    window = tk.FixedLag.begin(est, prior, 0.0, lag=12)
+    for k in (0, 1, 3, 2, 4, 6, 5, 7, 8, 9, 11, 10):
+        window = window.step(z[k], float(k))
+    found = window.smoothed()[1]
+    last = history.filtered.mean[-1]
+    np.testing.assert_allclose(window.state.moments().mean, last, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.mean[1:], history.smoothed.mean, rtol=1e-9, atol=1e-9)
+
+
+def test_particles_that_are_late_draw_as_if_in_time():
+    est = tk.estimator("bootstrap", motion=MOTION, sensor=position(2.0))
+    prior = tk.Gaussian(np.zeros(4), 100.0 * np.eye(4))
+    z = np.random.default_rng(0).normal(0.0, 3.0, (8, 2))
+    found = []
+    for order in (range(8), (0, 2, 1, 3, 6, 5, 4, 7)):
+        window = tk.FixedLag.begin(est, prior, 0.0, lag=8, rng=np.random.default_rng(1))
+        for k in order:
+            window = window.step(z[k], float(k))
+        found.append(window.state.moments())
+    assert np.array_equal(found[0].mean, found[1].mean)
+    assert np.array_equal(found[0].cov, found[1].cov)
