@@ -130,6 +130,18 @@ class HasLinearise(Protocol):
 
 
 @runtime_checkable
+class HasExpand(Protocol):
+    """Value, Jacobian and Hessians in one call, for second-order filters that must be fast.
+
+    Without it they call `HasLinearise` (or ``f``, ``h`` and ``jacobian``) and `HasHessian`.
+    """
+
+    def expand(self, x: Array, *arguments: Any) -> tuple[Array, Any, Any]:
+        """Value, Jacobian as of `HasLinearise`, and Hessians as an array or `tracker.types.Block`."""
+        ...
+
+
+@runtime_checkable
 class HasComponents(Protocol):
     """Written over components, so that it can run on graph nodes and be compiled."""
 

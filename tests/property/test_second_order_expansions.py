@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tracker import algebra
+from tracker.models import ComponentSensor
 from tracker.models.linearise import expand, linearise
 from tracker.testing.laws.filter import Traced
-from tracker.types import Array, Block
+from tracker.types import Array, Block, Space
 from tracker_motion import constant_velocity, coordinated_turn
 from tracker_sensors import azimuth, range_rate, stack
 
@@ -137,3 +138,19 @@ def test_a_model_without_an_expansion_of_its_own_gives_its_hessian() -> None:
 
     value, first, second = expand(ByHand(), np.array([3.0]), None)
     assert (value.tolist(), first.tolist(), second.tolist()) == ([9.0], [[6.0]], [[[2.0]]])
+
+
+def test_a_derivative_by_hand_stands_in_the_expansion_too() -> None:
+    """It says what the tracing would not: here, deliberately, something else."""
+    sensor = ComponentSensor(
+        name="square",
+        measure=lambda x: (x * x,),
+        noise=lambda: ((1.0,),),
+        derivative=lambda x: ((3.0 * x,),),
+        space=Space.of("z"),
+    )
+    for x in (np.array([2.0, 0.0, 0.0, 0.0]), np.array([[2.0], [0.0], [0.0], [0.0]])):
+        value, first, second = sensor.expand(x)
+        assert value.ravel().tolist() == [4.0]
+        assert algebra.dense(first).ravel().tolist() == [6.0, 0.0, 0.0, 0.0]
+        assert second.dense()[0, 0, 0] == 2.0
