@@ -168,8 +168,7 @@ for path, scene in near.items():
 #   that, and one that says otherwise is wrong.
 # * The manoeuvre makes the range visible. It does not make a filter honest.
 # * Look at NEES (with truth) or NIS (without) before you believe an accuracy. A start that does not
-#   know the range needs another filter than this one, or a better start; see the status on the
-#   front page for what exists.
+#   know the range needs another filter than this one: the tutorial on consistency has it.
 
 if __name__ == "__main__":
     plt.show()
