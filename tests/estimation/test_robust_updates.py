@@ -17,7 +17,7 @@ from tracker_sensors import azimuth, position, stack
 MOTION = constant_velocity(0.1)
 BEARINGS = stack([azimuth(0.02).at(sx=-1.0, sy=-2.0), azimuth(0.02).at(sx=1.0, sy=1.0)])
 PRIOR = tk.Gaussian([0.0, 0.0, 1.0, 0.0], np.diag([0.1, 0.1, 1.0, 1.0]))
-ALMOST_INFINITE = 1e12
+ALMOST_INFINITE = 1e16
 GENTLE = [
     HuberUpdate(threshold=ALMOST_INFINITE),
     StudentTUpdate(degrees_of_freedom=ALMOST_INFINITE),
