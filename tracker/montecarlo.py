@@ -499,7 +499,8 @@ def _chunk(
 ) -> tuple[dict[tuple[str, str], _Reduced], dict[str, float]]:
     """Scores by estimator and stage, and CPU seconds by estimator."""
     simulation = scenario.simulate(seed, runs, condition=condition)
-    out, seconds = {}, {}
+    out: dict[tuple[str, str], _Reduced] = {}
+    seconds: dict[str, float] = {}
     for name, built in estimators.items():
         begun = time.thread_time()
         estimation.fitting(built, simulation.record, simulation.prior, simulation.start)
