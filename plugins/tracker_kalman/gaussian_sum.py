@@ -250,8 +250,8 @@ def split(prior: Gaussian, count: int, places: tuple[int, ...]) -> tuple[Gaussia
     P = np.moveaxis(prior.cov, (0, 1), (-2, -1))
     direction = np.zeros(P.shape[:-1])
     block = P[..., places, :][..., places]
-    finite = np.isfinite(block).all(axis=(-1, -2))
-    _, vectors = np.linalg.eigh(np.where(finite[..., None, None], block, 0.0))
+    finite = np.isfinite(block).all(axis=(-1, -2), keepdims=True)
+    _, vectors = np.linalg.eigh(np.where(finite, block, 0.0))
     direction[..., places] = vectors[..., :, -1]
     along = (P @ direction[..., None])[..., 0]
     length = np.sqrt(np.maximum((along * direction).sum(axis=-1), 0.0))[..., None]
@@ -284,9 +284,9 @@ def merged(belief: GaussianSum, cost: float, rule: Any) -> GaussianSum:
     both = np.stack([weights[first], weights[second]])
     sums = both.sum(axis=0)
     with np.errstate(all="ignore"):
-        pairs = [np.stack([v[..., first, :], v[..., second, :]], axis=-3) for v in _flat(own)]
         flat = (*both.shape[:2], -1)
-        mean, cov = mix(*pairs, (both / sums).reshape(flat), belief.circular)
+        x, P = (np.stack([v[..., first, :], v[..., second, :]], axis=-3) for v in _flat(own))
+        mean, cov = mix(x, P, (both / sums).reshape(flat), belief.circular)
         single = _logdet(_flat(own)[1])
         told = sums.reshape(flat[1:]) * _logdet(cov)
         told = told - both[0].reshape(flat[1:]) * single[first]

@@ -103,12 +103,12 @@ def _back(
         for i in range(count):
             joint[i][j] = shares[i] * smoothed.probabilities[j]
     members, probabilities = [], []
-    for i, places in enumerate(filtered.places):
+    for i, own in enumerate(filtered.places):
         total = sum(joint[i][1:], joint[i][0])
         probabilities.append(total)
         weights = np.stack([np.where(total > 0.0, w / total, 1.0 / count) for w in joint[i]])
-        flags = tuple(filtered.circular[p] for p in places)
-        whole = [tuple(range(len(places)))] * count
+        flags = tuple(filtered.circular[p] for p in own)
+        whole = [tuple(range(len(own)))] * count
         members.append(mixed(pairs[i], weights, whole, flags))
     return attrs.evolve(filtered, members=tuple(members), probabilities=np.stack(probabilities))
 

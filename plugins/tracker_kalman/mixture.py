@@ -38,8 +38,8 @@ def chosen(condition: Any, belief: Any, other: Any) -> Any:
         if not belief.dtype.hasobject:
             return belief if np.all(condition) else np.where(condition, belief, other)
         out = np.empty(belief.size, dtype=object)
-        others = other.ravel().tolist() if isinstance(other, np.ndarray) else [other] * belief.size
-        pairs = zip(belief.ravel().tolist(), others, strict=True)
+        flat = other.ravel().tolist() if isinstance(other, np.ndarray) else [other] * belief.size
+        pairs = zip(belief.ravel().tolist(), flat, strict=True)
         out[:] = [where(condition, a, b) for a, b in pairs]
         return out.reshape(belief.shape)
     single = isinstance(other, float)
