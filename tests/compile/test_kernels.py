@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tracker as tk
-from tracker.compile import objects, run
+from tracker.compile import llvm, objects, run
 from tracker.compile.fuse import forward
-from tracker.compile.llvm import Kernel
+from tracker.compile.llvm import Kernel, fingerprint
 from tracker.compile.program import Program, Rate, allocate, interpret, tile, untile
 from tracker.errors import CapabilityError, ConfigError, ShapeError
 from tracker.models import (
@@ -24,12 +24,14 @@ from tracker.models import (
     cos,
     diagonal,
     exp,
+    isnan,
     log,
     maximum,
     minimum,
     sin,
     sqrt,
     where,
+    wrap,
 )
 from tracker.types import PLANAR
 from tracker_kalman.ekf1 import ExtendedKalmanFilter
@@ -119,6 +121,17 @@ def test_infinities_and_nan_are_treated_as_the_table_says():
 def test_nan_survives_minimum_and_maximum_on_either_side(function):
     a, b = np.array([np.nan, 1.0, np.nan, 2.0] * 2), np.array([1.0, np.nan, np.nan, 3.0] * 2)
     assert np.isnan(pointwise(function, a, b)).tolist() == [True, True, True, False] * 2
+
+
+def test_a_wrapped_angle_is_told_to_be_nan_before_it_is_known():
+    finite = SPECIAL[np.isfinite(SPECIAL) | np.isnan(SPECIAL)]
+    z, y, x = (a.ravel() for a in np.meshgrid(finite[:7], SPECIAL, SPECIAL))
+
+    def missing(z, y, x):
+        return where(isnan(wrap(z - wrap(-atan2(y, x) + 0.5))), 1.0, 2.0)
+
+    with np.errstate(all="ignore"):
+        np.testing.assert_array_equal(pointwise(missing, z, y, x), missing(z, y, x))
 
 
 def test_inverse_sine_and_cosine_agree_with_the_library():
@@ -420,6 +433,37 @@ def test_an_object_is_kept_and_found_again(cache):
     assert doubled().tolist() == (2 * np.arange(8.0)).tolist()
     assert entry.stat().st_mtime_ns == before
     assert cache.stat().st_mode & 0o777 == 0o700
+
+
+def stepping(*, factor=2.0, rate=Rate.BOTH, backward=False, swap=False, delay=3):
+    program = Program(backward=backward)
+    a, b = program.input("z", 2, rate)
+    old = program.state("x", 1)[0]
+    late = program.delay("late", 1, delay)[0]
+    program.feed("late", [a])
+    program.set("x", [old + (factor * a - b if swap else factor * b - a) + late])
+    return program
+
+
+def test_a_fingerprint_tells_programs_apart():
+    changes = [{}, {"factor": 3.0}, {"factor": np.nextafter(2.0, 3.0)}, {"rate": Rate.STEP}]
+    changes += [{"backward": True}, {"swap": True}, {"delay": 4}]
+    found = [fingerprint(stepping(**change)) for change in changes]
+    assert len(set(found)) == len(changes)
+    assert found == [fingerprint(stepping(**change)) for change in changes]
+
+
+def test_a_kernel_from_the_cache_is_not_written_again(cache, monkeypatch):
+    doubled()
+    with monkeypatch.context() as during:
+        during.setattr(llvm, "emit", lambda program: pytest.fail("it was written"))
+        assert doubled().tolist() == (2 * np.arange(8.0)).tolist()
+    monkeypatch.setattr(llvm, "_emitter", lambda: "")  # its sources cannot be read
+    assert doubled().tolist() == (2 * np.arange(8.0)).tolist()
+    assert len(list(cache.glob("*.o"))) == 2
+    monkeypatch.setattr(llvm, "_emitter", lambda: "another emitter")
+    assert doubled().tolist() == (2 * np.arange(8.0)).tolist()
+    assert len(list(cache.glob("*.o"))) == 3
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "foreign", "swapped"])

@@ -202,7 +202,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         rows.append(row)
         reciprocal = where(less(pivot, 0.0), math.nan, 1.0 / pivot)
         inverse.append(where(missing, 0.0, reciprocal))
-        determinant = determinant * where(missing, 1.0, pivot)
+        determinant = where(missing, determinant, determinant * pivot)
         if k % PIVOTS == PIVOTS - 1:
             logarithm, determinant = logarithm + log(determinant), 1.0
         count = count + where(missing, 0.0, 1.0)

@@ -147,22 +147,20 @@ def log(x: Any) -> Any:
     e, m = graph.make("exponent", scaled), graph.make("mantissa", scaled)
     e = where(tiny, e - 54.0, e)
     f = m - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    p = z * _polynomial(
+    q = f / (1.0 + 0.5 * f)  # log(1 + f) = 2 artanh(q / 2)
+    z = q * q
+    p = _polynomial(
         z,
-        1.479819860510658591e-1,
-        1.531383769920937332e-1,
-        1.818357216161805012e-1,
-        2.222219843214978396e-1,
-        2.857142874366239149e-1,
-        3.999999999940941908e-1,
-        6.666666666666735130e-1,
+        1.479819860510658591e-1 / 2**15,
+        1.531383769920937332e-1 / 2**13,
+        1.818357216161805012e-1 / 2**11,
+        2.222219843214978396e-1 / 2**9,
+        2.857142874366239149e-1 / 2**7,
+        3.999999999940941908e-1 / 2**5,
+        6.666666666666735130e-1 / 2**3,
     )
-    h = 0.5 * f * f
-    value = e * 6.93147180369123816490e-1 - (
-        (h - (s * (h + p) + e * 1.90821492927058770002e-10)) - f
-    )
+    # In two parts, so that the product of the first with e is exact.
+    value = e * 6.93147180369123816490e-1 + (e * 1.90821492927058770002e-10 + (q + q * (z * p)))
     value = where(less(x, math.inf), value, x)
     return where(less(x, SMALLEST), where(less(x, 0.0), math.nan, -math.inf), value)
 

@@ -264,15 +264,18 @@ def _telling(node: Node, copied: Mapping[int, Node]) -> Any:
     """What is NaN where an angle is, and known long before it: what the angle is made of.
 
     Whether a component was measured decides about covariances, which need no angle otherwise.
-    Never negative, so that nothing cancels. An infinite angle is not told of: it is refused
-    where measurements enter.
+    An infinite angle is not told of: it is refused where measurements enter.
     """
     angle = _unwrapped(node)
     if angle is not None:
         return _telling(angle, copied)
-    if node.op in ("add", "sub", "atan2"):
+    if node.op in ("add", "sub"):
         return _telling(node.args[0], copied) + _telling(node.args[1], copied)
-    return 0.0 if node.op == "const" else absolute(copied[node.index])
+    if node.op == "neg":  # lest it cancel something
+        return _telling(node.args[0], copied)
+    if node.op == "atan2":  # of infinite coordinates, too: neither may cancel the other
+        return absolute(copied[node.args[0].index]) + absolute(copied[node.args[1].index])
+    return 0.0 if node.op == "const" else copied[node.index]
 
 
 # ------------------------------------------------------------------------------ running it
