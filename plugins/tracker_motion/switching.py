@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import attrs
 import numpy as np
@@ -22,10 +22,10 @@ HALVINGS = 20
 
 def switching(
     modes: Sequence[MotionModel],
-    transition: ArrayLike | None = None,
+    transition: Annotated[ArrayLike | None, "1"] = None,
     *,
-    rates: ArrayLike | None = None,
-    initial: ArrayLike | None = None,
+    rates: Annotated[ArrayLike | None, "1/s"] = None,
+    initial: Annotated[ArrayLike | None, "1"] = None,
 ) -> SwitchingMotion:
     """A target that moves in one of several modes at a time and switches between them at random.
 
