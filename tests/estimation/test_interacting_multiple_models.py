@@ -10,7 +10,13 @@ import tracker as tk
 from tracker.errors import CapabilityError, DomainError, ShapeError
 from tracker.models import ComponentMotion
 from tracker_kalman import InteractingMultipleModels, ModeSmoother
-from tracker_motion import constant_acceleration, constant_velocity, coordinated_turn, switching
+from tracker_motion import (
+    acceleration_input,
+    constant_acceleration,
+    constant_velocity,
+    coordinated_turn,
+    switching,
+)
 from tracker_sensors import azimuth, position, stack
 
 CALM, WILD = constant_velocity(0.01), constant_velocity(10.0)
@@ -351,3 +357,68 @@ def test_the_smoother_is_close_to_the_sum_over_all_sequences_of_modes():
     filtered, smoothed, guessed, known = np.mean(gaps, axis=0)
     assert smoothed < 0.2 * filtered, (smoothed, filtered)
     assert known < 0.4 * guessed, (known, guessed)
+
+
+# ------------------------------------------------------------------- beside everything else
+def test_filters_that_keep_square_roots_are_mixed_too():
+    motion, measured = switching([CALM, WILD], CHAIN), record((3,))
+    rooted = run(motion, InteractingMultipleModels("ukf_square_root"), measured=measured)
+    same(rooted, run(motion, InteractingMultipleModels("ukf"), measured=measured), 1e-8)
+
+
+def test_modes_may_take_inputs_and_several_sensors_measure(interpretation, monkeypatch):
+    pushed = acceleration_input(sigma=0.05)
+    motion = switching([pushed, WILD], CHAIN)
+    assert motion.input_space == pushed.input_space
+    rng = np.random.default_rng(5)
+    sensors = [position(1.0), azimuth(0.05).at(sx=20.0, sy=0.0)]
+    z = rng.standard_normal((12, 2, 9))
+    which = np.arange(12) % 2
+    z[which == 1, 1] = np.nan
+    measured = tk.Record(
+        np.arange(1.0, 13.0), z, u=rng.standard_normal((12, 2)), sensor=which
+    )  # fmt: skip
+    built = tk.estimator("imm", motion=motion, sensor=sensors)
+    if interpretation == "compiled":
+        assert "one compiled step" in built.explain()
+    here = tk.filter(built, measured, PRIOR, start=0.0)
+    monkeypatch.setenv("TRACKER_COMPILE", "off")
+    same(here, tk.filter(built, measured, PRIOR, start=0.0))
+    single = tk.estimator("ekf1", motion=pushed, sensor=sensors)
+    only = tk.estimator("imm", motion=switching([pushed, pushed], CHAIN), sensor=sensors)
+    same(tk.filter(only, measured, PRIOR), tk.filter(single, measured, PRIOR))
+
+
+def test_a_lane_of_a_smoothed_record_is_that_lane_smoothed_alone():
+    motion = switching([CALM, coordinated_turn(0.01, 0.1)], rates=[[0.0, 0.1], [0.2, 0.0]])
+    prior = tk.Gaussian(np.zeros(5), np.eye(5))
+    rule, measured = InteractingMultipleModels(missing="prior"), record((4,))
+    together = run(motion, rule, smoother=ModeSmoother(), prior=prior, measured=measured)
+    alone = tk.Record(measured.t, measured.z[..., 2])
+    single = run(motion, rule, smoother=ModeSmoother(), prior=prior, measured=alone)
+    for name in ("mean", "cov"):
+        ours = getattr(together.smoothed, name)[..., 2]
+        np.testing.assert_allclose(ours, getattr(single.smoothed, name), rtol=0, atol=1e-8)
+
+
+def test_it_runs_on_line_as_on_a_record():
+    motion = switching([CALM, WILD], CHAIN)
+    built = tk.estimator("imm", motion=motion, sensor=position(1.0))
+    want, state, before = run(motion), PRIOR, 0.0
+    for k, now in enumerate(want.t):
+        state, told = built.step(state, record().z[k], now - before)
+        before = now
+        np.testing.assert_allclose(state.moments().mean, want.filtered.mean[k], atol=1e-10)
+        np.testing.assert_allclose(told.loglik, want.innovation.loglik[k], atol=1e-9)
+
+
+def test_a_campaign_of_modes_is_consistent_where_the_truth_is_one_of_them():
+    """NEES of 1,000 runs in which the truth follows the first mode: at most 30 % above its 4."""
+    scene = tk.scenario("line", steps=30, axes=2)
+    motion = switching([scene.motion, constant_velocity(2.0)], [[0.98, 0.02], [0.1, 0.9]])
+    modes = tk.estimator("imm", motion=motion, sensor=scene.sensor)
+    single = tk.estimator("kf", motion=scene.motion, sensor=scene.sensor)
+    campaign = tk.monte_carlo({"imm": modes, "kf": single}, scene, runs=1000, seed=3)
+    imm, kf = (campaign.scores[name]["filter"] for name in ("imm", "kf"))
+    assert 0.7 * 4 < imm.mean_nees < 1.3 * 4
+    assert imm.rmse.value < 1.1 * kf.rmse.value
