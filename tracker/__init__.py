@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from tracker.montecarlo import Campaign as Campaign
     from tracker.montecarlo import load_campaign as load_campaign
     from tracker.montecarlo import monte_carlo as monte_carlo
+    from tracker.optimisation import Optimisation as Optimisation
+    from tracker.optimisation import load_optimisation as load_optimisation
+    from tracker.optimisation import optimise as optimise
     from tracker.pipeline import Pipeline as Pipeline
     from tracker.registry import Component as Component
     from tracker.registry import adapters as adapters
@@ -67,6 +70,7 @@ _HOME = {
     "History": "types",
     "Innovation": "types",
     "LocalTangentPlane": "geodesy",
+    "Optimisation": "optimisation",
     "PLANAR": "types",
     "Pipeline": "pipeline",
     "Projection": "types",
@@ -87,8 +91,10 @@ _HOME = {
     "gates": "registry",
     "hookimpl": "hookspecs",
     "load_campaign": "montecarlo",
+    "load_optimisation": "optimisation",
     "monte_carlo": "montecarlo",
     "motions": "registry",
+    "optimise": "optimisation",
     "optimisers": "registry",
     "planners": "registry",
     "read_detection_log": "io.detections",

@@ -324,22 +324,49 @@ class Deleter(Protocol):
 
 # ----------------------------------------------------------------------- optimisers, planners
 class Optimiser(Protocol[A]):
-    """Ask for a population, tell its cost; minimises.
+    """Ask for candidates, tell their cost; minimises. Restarts are lanes, each with its own numbers.
+
+    What it remembers is a value, as a belief is (`HasBegin`), with the restarts as batch axes; it
+    carries what makes its draws reproducible, so that `ask` and `tell` are functions of their
+    arguments. The loop around it is `tracker.optimise`.
+
+    Two more methods are optional: ``finished(memory)``, flags ``(*restarts)`` of those that have come
+    to their end; ``survivors(memory)``, candidates and costs that one of several objectives keeps.
 
     Laws: stays in bounds; the best so far never gets worse; the budget is exact; adding a constant
-    to the cost changes nothing.
+    to the cost changes nothing; a restart does not depend on its company; NaN is the worst cost.
     """
 
-    def init(self, bounds: Array, *, rng: np.random.Generator) -> A:
-        """Start inside ``bounds (d, 2)``."""
+    @property
+    def population(self) -> int:
+        """How many candidates it asks for at a time."""
+        ...
+
+    @property
+    def rows(self) -> int:
+        """How many numbers the cost of a candidate has: objectives, and constraints if it takes any."""
+        ...
+
+    def begin(
+        self,
+        bounds: Array,
+        *,
+        rng: np.random.Generator | Sequence[np.random.Generator],
+        restarts: tuple[int, ...] = (),
+        start: Array | None = None,
+    ) -> A:
+        """Start inside ``bounds (d, 2)``; ``start (d, k)`` or ``(d, k, *restarts)`` is asked first.
+
+        ``rng`` is a generator, or one for each restart, and is used here alone.
+        """
         ...
 
     def ask(self, memory: A) -> Array:
-        """Candidates ``(d, population)``."""
+        """Candidates ``(d, population, *restarts)``."""
         ...
 
-    def tell(self, memory: A, cost: Array, *, rng: np.random.Generator) -> A:
-        """Learn the cost ``(objectives, population)`` of the candidates."""
+    def tell(self, memory: A, cost: Array) -> A:
+        """Learn the cost ``(rows, population, *restarts)`` of these candidates."""
         ...
 
 
