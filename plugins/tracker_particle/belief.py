@@ -60,6 +60,10 @@ class Particles:
             fill(made, value)
         return made
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = (self.points, self.log_weights, self.key, self.step, self.circular)
+        return Particles.known_as, (*kept, self.known, self.known_size)
+
     @property
     def weights(self) -> Array:
         """Weights, ``(N, *batch)``."""

@@ -15,6 +15,7 @@ from tracker_particle import draws, kernels
 from tracker_particle.belief import Particles, effective_sample_size, even, spread
 from tracker_particle.resampling import Ancestors, Scheme
 
+_GRAIN = 1e-9
 _ROUNDING = 1e-13
 """A pivot below this share of its variance is what rounding left of a singular matrix."""
 
@@ -83,7 +84,12 @@ def propagated(state: Particles, motion: MotionModel, dt: Any, u: Any, t: Any) -
 
 def due(weights: Array, threshold: float) -> Any:
     """Which lanes have an effective sample size below the threshold, a share of N."""
-    return effective_sample_size(weights) < threshold * len(weights)
+    return effective_sample_size(weights) < least_size(threshold, len(weights))
+
+
+def least_size(threshold: float, count: int) -> float:
+    """The smallest effective sample size that is enough; even weights are, whatever rounding did."""
+    return (1.0 - _GRAIN) * threshold * count
 
 
 def chosen(
@@ -117,7 +123,8 @@ def picked(points: Array, ancestors: Ancestors) -> Array:
 
 def resampled(state: Particles, scheme: Scheme, threshold: float) -> Particles:
     """The same belief in particles of even weight, in the lanes where it is due."""
-    if state.known_size is not None and state.known_size >= threshold * len(state.log_weights):
+    enough = least_size(threshold, len(state.log_weights))
+    if state.known_size is not None and state.known_size >= enough:
         return state
     weights = state.weights
     needed = due(weights, threshold)

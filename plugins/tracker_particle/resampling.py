@@ -89,7 +89,7 @@ class Stratified:
         below *= count
         stratum = np.floor(below)
         inside = below - stratum
-        own = np.minimum(stratum, count - 1).astype(np.intp)
+        own = np.fmin(stratum, count - 1).astype(np.intp)  # a lane that is NaN looks anywhere
         # All teeth of earlier strata lie below, and that of the own stratum perhaps.
         stratum += np.take_along_axis(uniform, own, axis=0) < inside
         return _ancestors(stratum)
@@ -113,7 +113,7 @@ class Multinomial:
     def __call__(self, weights: Array, uniform: Array) -> Ancestors:
         """Ancestors, ``(N, *batch)``."""
         spacings = np.cumsum(-np.log1p(-uniform), axis=0)
-        teeth = np.minimum(spacings[:-1] / spacings[-1], _BELOW_ONE)
+        teeth = np.fmin(spacings[:-1] / spacings[-1], _BELOW_ONE)
         return _ancestors(_merged(_cumulated(weights), teeth))
 
 
@@ -143,8 +143,9 @@ class Residual:
         known = np.where(np.isfinite(open_), open_, 0.0).astype(np.intp)
         last = np.take_along_axis(spacings, known[None], axis=0)
         places = np.arange(count).reshape(-1, *(1,) * (weights.ndim - 1))
-        teeth = np.where(places < known, np.minimum(spacings[:-1] / last, _BELOW_ONE), np.inf)
-        drawn = _merged(_cumulated(left), teeth)
+        teeth = np.where(places < known, np.fmin(spacings[:-1] / last, _BELOW_ONE), np.inf)
+        # Where nothing is left to chance any weights do.
+        drawn = _merged(_cumulated(np.where(open_ > 0, left, 1.0)), teeth)
         return _ancestors(np.cumsum(certain, axis=0) + np.where(open_ > 0, drawn, 0.0))
 
 
