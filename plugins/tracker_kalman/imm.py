@@ -347,6 +347,7 @@ def posterior(prior: Sequence[Any], logliks: Sequence[Any]) -> tuple[list[Any], 
     total: Any = 0.0
     for value in joint:
         total = total + value
+    total = where(less(0.0, total), total, math.nan)  # no mode is left
     shared = [
         where(h, maximum(value / total, FAINTEST), value / total)
         for h, value in zip(heard, joint, strict=True)

@@ -211,6 +211,16 @@ def test_a_mode_that_is_lost_starts_again_and_a_lane_is_lost_with_all_of_them():
         assert np.array_equal(all_lost.filtered.mean[..., lane], well.filtered.mean[..., lane])
 
 
+def test_a_single_run_that_lost_all_its_modes_says_so():
+    built = tk.estimator("imm", motion=switching([CALM, WILD], CHAIN), sensor=position(1.0))
+    lost = tk.Gaussian.trusted(np.full(4, np.nan), np.eye(4))
+    with np.errstate(invalid="ignore"):
+        state, told = built.step(built.begin(lost), [0.0, 0.0], 1.0)
+    assert not told.ok
+    assert np.isnan(state.moments().mean).all()
+    assert np.isnan(told.loglik)
+
+
 def test_a_mode_of_probability_zero_stays_so():
     motion = switching([CALM, WILD], np.eye(2), initial=[1.0, 0.0])
     same(run(motion), run(CALM, "kf"))
