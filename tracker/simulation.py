@@ -85,15 +85,16 @@ class Scenario:
     ``initial`` says how truth and prior are drawn: "truth from prior" (the estimator's belief is
     calibrated: the honest test of consistency), "prior around truth" (the true start is ``start``, or
     drawn around it with covariance ``start_cov``; the prior mean is drawn around that), or "fixed"
-    (neither is drawn). The truth then follows ``path``, or is simulated from ``truth_motion`` (by
-    default the estimator's own model).
+    (neither is drawn). The truth then follows ``path``, or is simulated from ``truth_motion``, and is
+    measured by ``truth_sensor`` (by default the estimator's own models): what an estimator believes
+    of the noise need not be so.
 
     ``detection_probability`` is that of each measured component by itself, as in a stack of
     sensors: a component that is missed is NaN.
 
     Shapes:
-        t ``(T,)`` measurement times; pose ``(T, p)`` or None; path ``(T, n)`` or None; start
-        ``(n,)`` or None; start_cov ``(n, n)`` or None.
+        t ``(T,)`` measurement times; pose ``(T, p)``, a `tracker.protocols.ObserverPath`, or None;
+        path ``(T, n)`` or None; start ``(n,)`` or None; start_cov ``(n, n)`` or None.
 
     Raises:
         ShapeError, DomainError: when these do not fit together.
@@ -105,9 +106,10 @@ class Scenario:
     prior: Gaussian
     t: Array = attrs.field(converter=_times_of, repr=brief)
     prior_time: float = 0.0
-    pose: Array | None = attrs.field(default=None, repr=brief)
+    pose: Any = attrs.field(default=None, repr=brief)
     path: Array | None = attrs.field(default=None, repr=brief)
     truth_motion: MotionModel | None = None
+    truth_sensor: SensorModel | None = None
     start: Array | None = None
     start_cov: Array | None = attrs.field(default=None, repr=brief)
     initial: str = attrs.field(default=INITIAL[0])
@@ -116,9 +118,12 @@ class Scenario:
 
     def __attrs_post_init__(self) -> None:
         one_of("initial", self.initial, INITIAL)
-        bind = getattr(self.sensor, "over", None)
-        if bind is not None:  # as an estimator does: components of the state are found by name
-            object.__setattr__(self, "sensor", bind(self.motion.space))
+        for role in ("sensor", "truth_sensor"):
+            bind = getattr(getattr(self, role), "over", None)
+            if bind is not None:  # as an estimator does: components of the state are found by name
+                object.__setattr__(self, role, bind(self.motion.space))
+        if hasattr(self.pose, "pose"):
+            object.__setattr__(self, "pose", np.ascontiguousarray(self.pose.pose(self.t).T))
         n, steps = self.motion.space.size, len(self.t)
         if self.prior.mean.shape != (n,):
             raise ShapeError(
@@ -154,6 +159,15 @@ class Scenario:
                     do="pass prior_time=t[0], or an earlier one",
                 )
             )
+        if self.truth_sensor is not None and not _alike(self.truth_sensor, self.sensor):
+            raise ShapeError(
+                wording(
+                    "argument 'truth_sensor'",
+                    got=f"measurements ({self.truth_sensor.space}), pose ({self.truth_sensor.pose_space})",
+                    expected=f"({self.sensor.space}), pose ({self.sensor.pose_space}), as of 'sensor'",
+                    do="give a sensor that measures the same with other noise or parameters",
+                )
+            )
         if self.initial == INITIAL[1] and self.start is None and self.prior_time != first:
             raise DomainError(
                 wording(
@@ -181,6 +195,16 @@ class Scenario:
                     do="pass a number from 0 to 1",
                 )
             )
+
+    @property
+    def true_motion(self) -> MotionModel:
+        """The motion that the truth follows."""
+        return self.motion if self.truth_motion is None else self.truth_motion
+
+    @property
+    def true_sensor(self) -> SensorModel:
+        """The sensor that measured."""
+        return self.sensor if self.truth_sensor is None else self.truth_sensor
 
     def simulate(
         self, seed: int, runs: int | Sequence[int] = 1, *, condition: int = 0
@@ -237,7 +261,7 @@ class Scenario:
         if self.path is not None:
             truth[:] = np.asarray(self.path)[..., None]
             return
-        motion = self.motion if self.truth_motion is None else self.truth_motion
+        motion = self.true_motion
         noise = normals(seed, runs, "process", truth.shape[:2], condition)
         x, before = begin, self.prior_time
         for k, now in enumerate(self.t.tolist()):
@@ -252,18 +276,24 @@ class Scenario:
     ) -> None:
         steps, m, count = z.shape
         noise = normals(seed, runs, "measurement", (steps, m), condition)
-        zero = np.zeros((m, 1))
+        zero, sensor = np.zeros((m, 1)), self.true_sensor
         for k in range(steps):
             pose = None if self.pose is None else np.asarray(self.pose)[k]
             x = truth[k] if count > 1 else np.repeat(truth[k], 2, axis=-1)
-            value = self.sensor.h(x, pose) + _times(
-                square_root(self.sensor.R(x, pose)), noise[k][..., : x.shape[-1]]
+            value = sensor.h(x, pose) + _times(
+                square_root(sensor.R(x, pose)), noise[k][..., : x.shape[-1]]
             )
-            z[k] = self.sensor.residual(value, zero)[..., :count]
+            z[k] = sensor.residual(value, zero)[..., :count]
         if self.detection_probability < 1.0:
             for lane, run in enumerate(runs[:count]):
                 draw = stream(seed, run, "detection", condition).random((steps, m))
                 z[..., lane][draw >= self.detection_probability] = np.nan
+
+
+def _alike(one: SensorModel, other: SensorModel) -> bool:
+    """Whether two sensors measure the same kind of thing and are placed by the same pose."""
+    same = [(a.unit, a.circular) for a in one.space] == [(a.unit, a.circular) for a in other.space]
+    return same and one.pose_space.size == other.pose_space.size
 
 
 def _times(root: Array, vector: Array) -> Array:

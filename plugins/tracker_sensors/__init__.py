@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from tracker_sensors.conical_angle import conical_angle
     from tracker_sensors.doppler_frequency import doppler_frequency
     from tracker_sensors.multipath_delays import multipath_delays
+    from tracker_sensors.passive_sonar import passive_sonar
     from tracker_sensors.position import position
     from tracker_sensors.position_velocity import position_velocity
     from tracker_sensors.range_azimuth import range_azimuth
@@ -30,6 +31,7 @@ __all__ = [
     "conical_angle",
     "doppler_frequency",
     "multipath_delays",
+    "passive_sonar",
     "position",
     "position_velocity",
     "range_azimuth",

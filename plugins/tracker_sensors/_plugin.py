@@ -76,6 +76,16 @@ _COMPONENTS = (
     ),
     Component(
         kind="sensor",
+        name="passive_sonar",
+        target="tracker_sensors.passive_sonar:passive_sonar",
+        summary="azimuth by listening: noise from the sonar equation and the loudness of the sea",
+        paper="Urick, Principles of Underwater Sound, 3rd edition, 1983",
+        equations=("section 2.2",),
+        tags=("passive", "angles", "sonar", "2-D"),
+        examples=("passive_sonar(source_level=140.0, noise_level=85.0)",),
+    ),
+    Component(
+        kind="sensor",
         name="position",
         target="tracker_sensors.position:position",
         summary="Cartesian position in the frame of the state",

@@ -9,10 +9,12 @@ from scipy import stats
 
 import tracker as tk
 from tracker.errors import CapabilityError, ConfigError, DomainError, ShapeError, UnknownComponent
+from tracker.metrics.bounds import scenario_bound
 from tracker.metrics.consistency import chi_square_band, mean_interval, nees
 from tracker.simulation import stream
 from tracker_motion.constant_velocity import constant_velocity
 from tracker_sensors.azimuth import azimuth
+from tracker_sensors.observer_paths import Straight
 from tracker_sensors.range_only import range_only
 from tracker_sensors.stack import stack
 
@@ -98,6 +100,7 @@ def test_simulated_angles_are_wrapped(scene):
         ({"path": np.zeros((2, 4))}, ShapeError, "one row per measurement time"),
         ({"detection_probability": 1.5}, DomainError, "probability"),
         ({"prior": tk.Gaussian([0.0], [[1.0]])}, ShapeError, "prior"),
+        ({"truth_sensor": azimuth(0.1).at(sx=0.0, sy=0.0)}, ShapeError, "truth_sensor"),
     ],
 )
 def test_a_wrong_scenario_says_what_to_do(scene, change, error, words):
@@ -109,6 +112,38 @@ def test_a_fixed_path_is_followed_exactly(scene):
     path = np.outer(np.arange(30.0), [1.0, 2.0, 0.0, 0.0])
     truth = attrs.evolve(scene, path=path).simulate(1, 3).truth
     np.testing.assert_array_equal(truth[..., 1], path)
+
+
+def test_what_is_measured_has_the_noise_of_the_true_sensor_and_the_estimator_is_not_told(scene):
+    places = ({"sx": 1.0, "sy": 1.0}, {"sx": 4.0, "sy": 1.1})
+    told = stack([azimuth(0.01).at(**place) for place in places])
+    true = stack([azimuth(sigma).at(**p) for sigma, p in zip((0.2, 0.05), places, strict=True)])
+    made = attrs.evolve(scene, sensor=told, truth_sensor=true)
+    runs = made.simulate(3, 200)
+    off = told.residual(np.asarray(runs.record.z)[0], told.h(runs.truth[0]))
+    # 200 normals each: five standard errors of a standard deviation, false alarm below 1e-6
+    np.testing.assert_allclose(off.std(axis=1), [0.2, 0.05], rtol=5.0 / np.sqrt(400))
+    assert made.true_sensor is made.truth_sensor
+    assert scene.true_sensor is scene.sensor
+    np.testing.assert_array_equal(made.sensor.R(runs.truth[0])[..., 0], 1e-4 * np.eye(2))
+
+
+def test_the_bound_of_a_scenario_is_that_of_the_noise_there_is(scene):
+    coarse = attrs.evolve(scene, sensor=scene.sensor.with_parameters(sigma_1=9.0, sigma_2=9.0))
+    same_truth = attrs.evolve(coarse, truth_sensor=scene.sensor)
+    np.testing.assert_array_equal(
+        scenario_bound(same_truth, runs=4).cov, scenario_bound(scene, runs=4).cov
+    )
+
+
+def test_a_pose_may_be_a_path_of_an_observer():
+    path = Straight((1.0, 2.0), (0.5, 0.0))
+    scene = tk.scenario("moving_observer")
+    moved = attrs.evolve(scene, pose=path)
+    np.testing.assert_array_equal(moved.pose, path.pose(scene.t).T)
+    np.testing.assert_array_equal(moved.simulate(1).record.pose, moved.pose)
+    with pytest.raises(ShapeError, match="pose"):
+        attrs.evolve(scene, pose=Straight((1.0, 2.0, 3.0)))
 
 
 # --------------------------------------------------------------------------------- campaigns

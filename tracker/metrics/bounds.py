@@ -123,7 +123,7 @@ def scenario_bound(scenario: Any, runs: int = 100, seed: int = 0) -> Bound:
     made = scenario.simulate(seed, runs)
     return posterior_bound(
         scenario.motion,
-        scenario.sensor,
+        scenario.true_sensor,
         scenario.t,
         made.truth,
         scenario.prior.cov,

@@ -313,7 +313,7 @@ def scenario_observability(scenario: Any, runs: int = 8, seed: int = 0) -> Obser
     A scenario whose target follows a given path is judged along that path. None if a model has no
     derivatives.
     """
-    motion = scenario.truth_motion or scenario.motion
+    motion = scenario.true_motion
     made = scenario.simulate(seed, runs if scenario.path is None else 1)
     path = np.array(made.truth)
     try:
@@ -324,7 +324,7 @@ def scenario_observability(scenario: Any, runs: int = 8, seed: int = 0) -> Obser
                     path[k] = motion.f(path[k - 1], scenario.t[k] - before, None, before)
         return observability(
             motion,
-            scenario.sensor,
+            scenario.true_sensor,
             scenario.t,
             path,
             scenario.prior.cov,
