@@ -296,8 +296,8 @@ def tracker_components(registry: Registry) -> None:
             name="imm",
             target="tracker_kalman.imm:InteractingMultipleModels",
             summary="Interacting multiple models: one filter per mode of a switching motion, mixed.",
-            paper="Blom and Bar-Shalom 1988",
-            equations=("Bar-Shalom, Li and Kirubarajan 2001, 11.6.6-6 to 11.6.6-15",),
+            paper="Blom and Bar-Shalom, The interacting multiple model algorithm, 1988",
+            equations=("Bar-Shalom, Li and Kirubarajan 2001, section 11.6.6",),
             tags=("manoeuvre", "mixture", "nonlinear", "traced"),
         )
     )
@@ -307,8 +307,7 @@ def tracker_components(registry: Registry) -> None:
             name="imm_smoother",
             target="tracker_kalman.imm_smoother:ModeSmoother",
             summary="Fixed-interval smoother of interacting multiple models, pair by pair of modes.",
-            paper="Barber 2006",
-            equations=("12-23", "Kim 1994, 2.20-2.24"),
+            paper="Helmick, Blair and Hoffman, Fixed-interval smoothing for Markovian switching systems, 1995",
             tags=("fixed-interval", "manoeuvre", "mixture"),
         )
     )
@@ -318,8 +317,7 @@ def tracker_components(registry: Registry) -> None:
             name="gaussian_sum",
             target="tracker_kalman.gaussian_sum:GaussianSumFilter",
             summary="Gaussian sum: weighted filters side by side, split, pruned and merged.",
-            paper="Alspach and Sorenson 1972",
-            equations=("3.3-3.13",),
+            paper="Alspach and Sorenson, Nonlinear Bayesian estimation using Gaussian sum approximations, 1972",
             tags=("mixture", "nonlinear"),
         )
     )

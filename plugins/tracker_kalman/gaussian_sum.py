@@ -106,8 +106,8 @@ class GaussianSumFilter:
     Raises:
         DomainError: if components is below one, or prune or merge is out of range.
     Reference:
-        Alspach and Sorenson (1972), IEEE Trans. Automatic Control 17 (4), eq. 3.3-3.13; Runnalls (2007),
-        IEEE Trans. Aerospace and Electronic Systems 43 (3), eq. 16, for merging.
+        Alspach and Sorenson (1972), IEEE Trans. Automatic Control 17 (4), pp. 439-448; Runnalls (2007),
+        IEEE Trans. Aerospace and Electronic Systems 43 (3), pp. 989-999, for merging.
     Laws:
         those of kind "filter", for one component; equal members are one.
 
@@ -275,7 +275,7 @@ def merged(belief: GaussianSum, cost: float, rule: Any) -> GaussianSum:
     """The same with the two members that differ least as one, where that costs less than ``cost`` nats.
 
     Reference:
-        Runnalls (2007), eq. 16: an upper bound of the divergence between before and after.
+        Runnalls (2007): an upper bound of the divergence between before and after.
     """
     own, weights = belief.members.moments(), belief.weights
     first, second = np.triu_indices(len(weights), 1)

@@ -155,7 +155,7 @@ class InteractingMultipleModels:
         CapabilityError: if there are several filters, but not one for each mode.
     Reference:
         Blom and Bar-Shalom (1988), IEEE Trans. Automatic Control 33 (8), pp. 780-783; Bar-Shalom, Li
-        and Kirubarajan (2001), section 11.6.6, eq. 11.6.6-6 to 11.6.6-15.
+        and Kirubarajan (2001), section 11.6.6.
     Laws:
         those of kind "filter"; one mode equals its filter; the order of the modes does not matter;
         equal modes equal one.

@@ -38,8 +38,8 @@ class ModeSmoother:
         CapabilityError: if the history lacks the beliefs of a motion with several modes.
     Reference:
         Helmick, Blair and Hoffman (1995), Fixed-Interval Smoothing for Markovian Switching Systems,
-        IEEE Trans. Information Theory 41 (6), pp. 1845-1855, whose backward filter is replaced by the
-        quotient; Koch (2000), IEEE Trans. Aerospace and Electronic Systems 36 (4), for pairs of modes.
+        IEEE Trans. Information Theory 41 (6), pp. 1845-1855, for pairs of modes and their merging; its
+        backward filter is replaced by the quotient.
     Laws:
         those of kind "smoother"; one mode equals "rts"; the order of the modes does not matter.
     """

@@ -85,8 +85,7 @@ _COMPONENTS = (
         name="switching",
         target="tracker_motion.switching:switching",
         summary="several motions, of which one holds at a time and switches to others at random",
-        paper="Blom and Bar-Shalom 1988",
-        equations=("1-3",),
+        paper="Blom and Bar-Shalom, The interacting multiple model algorithm, 1988",
         tags=("manoeuvre", "modes", "1-D", "2-D", "3-D"),
         examples=(
             "switching([constant_velocity(density=0.1), constant_velocity(density=5.0)], [[0.9, 0.1], [0.2, 0.8]])",

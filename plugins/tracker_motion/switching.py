@@ -50,8 +50,8 @@ def switching(
         entry is negative; if a name means two different components.
         CapabilityError: if not exactly one of transition and rates is given.
     Reference:
-        Blom and Bar-Shalom (1988), IEEE Trans. Automatic Control 33 (8), eq. 1-3; for rates, Norris,
-        Markov Chains (1997), theorem 2.1.1.
+        Blom and Bar-Shalom (1988), IEEE Trans. Automatic Control 33 (8), pp. 780-783; for rates, Norris,
+        Markov Chains (1997), section 2.1.
     Laws:
         those of kind "motion", as far as its record says.
 

@@ -13,8 +13,7 @@ def tracker_components(registry: Registry) -> None:
             name="range_parameterised",
             target="tracker_passive.range_parameterised:RangeParameterised",
             summary="A bank of filters along the line of the first direction, for unknown range.",
-            paper="Peach 1995",
-            equations=("section 3", "Kronhamn 1998"),
+            paper="Peach, Bearings-only tracking using a set of range-parameterised extended Kalman filters, 1995",
             tags=("bearings", "mixture", "nonlinear", "passive", "start"),
             deviations={
                 "an update never raises the covariance": "the first direction turns a Gaussian into what "

@@ -79,8 +79,8 @@ class RangeParameterised:
         CapabilityError: at the first direction, if the sensor was not where it seems to be.
     Reference:
         Peach (1995), Bearings-only tracking using a set of range-parameterised extended Kalman
-        filters, IEE Proc. Control Theory and Applications 142 (1), section 3; Kronhamn (1998), IEE
-        Proc. Radar, Sonar and Navigation 145 (4), for weights that follow the prior.
+        filters, IEE Proc. Control Theory and Applications 142 (1), pp. 73-80, for the cells and the bank.
+        There all cells are as likely as another; here they weigh what prior and area say.
     Laws:
         those of kind "filter", before the first direction; a turn of everything turns the estimate.
     """

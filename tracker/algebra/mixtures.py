@@ -33,7 +33,7 @@ def mix(
         circular: one flag for all components, or one each; about ``(n, *batch)``, what differences are
         taken from instead of the mean; results ``(n, *batch)`` and ``(n, n, *batch)``.
     Reference:
-        Bar-Shalom, Li and Kirubarajan (2001), eq. 1.4.16-1 to 1.4.16-10.
+        Bar-Shalom, Li and Kirubarajan (2001), section 1.4.16.
     Laws:
         one member is itself; equal members are one; any order gives the same to rounding.
     """
