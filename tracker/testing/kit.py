@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tracker.registry import Component
 
 FLOOR: Mapping[str, int] = MappingProxyType(
-    {"motion": 10, "sensor": 8, "filter": 11, "smoother": 11, "gate": 8, "associator": 10}
+    {"motion": 10, "sensor": 8, "filter": 11, "smoother": 11, "gate": 8, "associator": 10, "optimiser": 15}
 )
 """How many laws must at least have run: what a component without any optional ability meets."""
 
@@ -35,6 +35,7 @@ _METHODS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "smoother": ("smooth",),
         "gate": ("threshold", "admits"),
         "associator": ("associate",),
+        "optimiser": ("begin", "ask", "tell"),
     }
 )
 
