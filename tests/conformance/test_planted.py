@@ -17,6 +17,9 @@ from tracker_association.chi_square_gate import ChiSquareGate
 from tracker_association.global_nearest_neighbour import GlobalNearestNeighbour
 from tracker_kalman.ekf1 import ExtendedKalmanFilter
 from tracker_kalman.rts import RauchTungStriebel
+from tracker_optimise.genetic import Genetic
+from tracker_optimise.imperialist import Imperialist
+from tracker_optimise.particle_swarm import ParticleSwarm
 
 STATIONS = np.array([[1.0, 1.0], [400.0, 110.0]])  # paper 0, eq. 34, in metres
 
@@ -343,6 +346,43 @@ class HalfAWeight(GlobalNearestNeighbour):
         return Association(0.5 * super().associate(distance, admitted).weights)
 
 
+class FlyingOut(ParticleSwarm):
+    def ask(self, memory):
+        return super().ask(memory) * 1.5
+
+
+class RelativeCost(Imperialist):
+    def tell(self, memory, cost):
+        return super().tell(memory, np.asarray(cost) ** 2)
+
+
+class SharedNumbers(ParticleSwarm):
+    def begin(self, bounds, *, rng, restarts=(), start=None):
+        first = rng[0] if not isinstance(rng, np.random.Generator) and len(rng) else rng
+        return super().begin(bounds, rng=first, restarts=restarts, start=start)
+
+
+class LikesNaN(Genetic):
+    def tell(self, memory, cost):
+        return super().tell(memory, np.where(np.isnan(cost), -1e9, cost))
+
+
+class KnowsItsUnits(ParticleSwarm):
+    def ask(self, memory):
+        x = super().ask(memory)
+        return np.clip(np.round(x, 1), memory.box.low, memory.box.high)
+
+
+class IgnoresTheStart(Genetic):
+    def begin(self, bounds, *, rng, restarts=(), start=None):
+        return super().begin(bounds, rng=rng, restarts=restarts)
+
+
+class Climbs(ParticleSwarm):
+    def tell(self, memory, cost):
+        return super().tell(memory, -np.nan_to_num(cost, nan=1e9, posinf=1e9))
+
+
 CLEAN = [
     TwoStations(),
     Constant(),
@@ -350,6 +390,7 @@ CLEAN = [
     RauchTungStriebel(),
     ChiSquareGate(),
     GlobalNearestNeighbour(),
+    ParticleSwarm(),
 ]
 
 PLANTED = [
@@ -393,6 +434,13 @@ PLANTED = [
     (LooksOutsideTheGate(), "outside the gate is zero"),
     (FirstComeFirstServed(), "follows permutations"),
     (HalfAWeight(), "rows sum to one"),
+    (FlyingOut(), "stays in bounds"),
+    (RelativeCost(), "a constant added changes nothing"),
+    (SharedNumbers(), "independent of its company"),
+    (LikesNaN(), "NaN is the worst cost"),
+    (KnowsItsUnits(), "follows its bounds"),
+    (IgnoresTheStart(), "starts where it is told"),
+    (Climbs(), "finds the bottom of a bowl"),
 ]
 
 
