@@ -87,6 +87,42 @@ def tracker_components(registry: Registry) -> None:
     )
     registry.add(
         Component(
+            kind="scenario",
+            name="flying_object",
+            target="tracker_papers.flying_object:flying_object",
+            summary="Three linear states and a filter that is told the wrong R, or the wrong Q.",
+            paper="4",
+            equations=("3-11", "3-12"),
+            tags=("linear", "wrong noise"),
+            examples=("flying_object('Q')",),
+        )
+    )
+    registry.add(
+        Component(
+            kind="scenario",
+            name="underwater_multipath",
+            target="tracker_papers.underwater_multipath:underwater_multipath",
+            summary="A target under water by the delays of its echoes at two hydrophones; wrong R.",
+            paper="4",
+            equations=("4-9 to 4-14", "4-34 to 4-38"),
+            tags=("passive", "delays", "3-D", "wrong noise"),
+            examples=("underwater_multipath('printed')",),
+        )
+    )
+    registry.add(
+        Component(
+            kind="scenario",
+            name="underwater_angles",
+            target="tracker_papers.underwater_angles:underwater_angles",
+            summary="A target under water by azimuth and elevation from two sensors; wrong R.",
+            paper="4",
+            equations=("5-1 to 5-20",),
+            tags=("passive", "angles", "3-D", "wrong noise"),
+            examples=("underwater_angles('manoeuvring')",),
+        )
+    )
+    registry.add(
+        Component(
             kind="reproduction",
             name="paper_0",
             target="tracker_papers.paper0.study:PaperZero",
