@@ -111,6 +111,7 @@ def flying_object(
     the prior, N(0, 0.01 I), as its start is not given.
 
     Units: those of the thesis, which gives none: m, m/s, m/s^2 are ours.
+
     Raises:
         DomainError: for another experiment, reading or matrix.
     Source: paper 4, eq. 3-11, 3-12 and section 3.5.

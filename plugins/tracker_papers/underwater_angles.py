@@ -10,7 +10,7 @@ import numpy as np
 from tracker.models import one_of
 from tracker.protocols import ObserverPath
 from tracker.simulation import Scenario
-from tracker.types import SPATIAL, Array, Gaussian
+from tracker.types import Array, Gaussian
 from tracker_papers.underwater_multipath import (
     PROCESS_VARIANCE,
     SPEED_UNITS,
@@ -90,6 +90,7 @@ def underwater_angles(
     so. With ``told`` the filter is told the true R.
 
     Units: m, m/s, rad; a step is a second, whatever dt.
+
     Raises:
         DomainError: for another motion or unit.
     Source: paper 4, eq. 5-1 to 5-20; Tables 5-1 to 5-3.

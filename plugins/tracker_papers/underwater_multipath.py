@@ -99,6 +99,7 @@ def underwater_multipath(
     ``told`` the filter is told the true R.
 
     Units: m, m/s, s; a step is a second, whatever dt.
+
     Raises:
         DomainError: for another preset or unit.
     Source: paper 4, eq. 4-9 to 4-14 and 4-34 to 4-38; Table 4-1.
