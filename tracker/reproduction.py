@@ -7,7 +7,9 @@ belongs in its plugin, the page in `tracker.report.reproduction`.
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -28,15 +30,21 @@ JUDGEMENTS: tuple[Judgement, ...] = ("confirmed", "refuted", "undecided")
 
 
 # --------------------------------------------------------------------------- what was published
+_DIGITS = re.compile(r"(\[\d+\])")
+
+
 @attrs.frozen
 class Published:
     """One number of a paper: ``text`` as printed, in which table or figure, and which cell of it.
 
-    ``runs`` is the number of runs it is a mean of, None where it is not one.
+    ``runs`` is the number of runs it is a mean of, None where it is not one. A digit that cannot be
+    read is written as all it may be in brackets, ``1[25].3``: the number then is one of `values`.
 
     Example:
     >>> Published("table1/a", "Table 1", "row A", "0.250").rounding
     0.0005
+    >>> Published("table1/b", "Table 1", "row B", "1[25].3").values
+    (12.3, 15.3)
     """
 
     id: str
@@ -46,14 +54,46 @@ class Published:
     runs: int | None = None
 
     @property
+    def values(self) -> tuple[float, ...]:
+        """All numbers that it may be, rising; one where every digit can be read."""
+        parts = [
+            tuple(part[1:-1]) if part.startswith("[") else (part,)
+            for part in _DIGITS.split(self.text)
+        ]
+        return tuple(sorted({float("".join(digits)) for digits in itertools.product(*parts)}))
+
+    @property
     def value(self) -> float:
-        """The number."""
-        return float(self.text)
+        """The number; the one in the middle, where it may be several."""
+        return self.values[(len(self.values) - 1) // 2]
+
+    def nearest(self, to: float) -> float:
+        """Of all numbers that it may be, the one nearest to another; `value` if that is NaN.
+
+        Example:
+        >>> Published("table1/b", "Table 1", "row B", "1[25].3").nearest(16.0)
+        15.3
+        """
+        if math.isnan(to):
+            return self.value
+        return min(self.values, key=lambda value: abs(value - to))
+
+    @property
+    def uncertain(self) -> str:
+        """In words, that not every digit can be read; '' if every one can."""
+        if len(self.values) == 1:
+            return ""
+        low, high = self.values[0], self.values[-1]
+        return (
+            f"Printed {self.text}: one of {len(self.values)} numbers from {low:g} to {high:g}, of which "
+            "the nearest to ours is given."
+        )
 
     @property
     def rounding(self) -> float:
         """Half a unit of the last digit printed: what the number may be off by rounding alone."""
-        mantissa, _, exponent = self.text.lower().partition("e")
+        plain = _DIGITS.sub("0", self.text)
+        mantissa, _, exponent = plain.lower().partition("e")
         return 0.5 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
 
@@ -142,8 +182,9 @@ class Reading:
     high: float
 
     def gives(self, published: Published) -> bool:
-        """Whether the published number, give or take its own rounding, lies in the range."""
-        return self.low - published.rounding <= published.value <= self.high + published.rounding
+        """Whether the published number, or one that it may be, lies in the range give or take rounding."""
+        low, high = self.low - published.rounding, self.high + published.rounding
+        return any(low <= value <= high for value in published.values)
 
 
 @attrs.frozen
@@ -172,12 +213,12 @@ def row(
     word, why = verdict(published, ours, readings, not_comparable=not_comparable)
     return ResultRow(
         published.id,
-        published.value,
+        published.nearest(ours.value),
         ours.value,
         (ours.low, ours.high),
         runs,
         word,
-        f"{why} {note}".rstrip(),
+        " ".join(part for part in (why, published.uncertain, note) if part),
     )
 
 

@@ -67,6 +67,25 @@ def test_rounding_of_the_published_number_is_allowed_for():
     assert Published("id", "t", "c", "12").rounding == pytest.approx(0.5)
 
 
+def test_a_digit_that_cannot_be_read_makes_several_numbers():
+    number = Published("id", "t", "c", "4[25].[25]3")
+    assert number.values == (42.23, 42.53, 45.23, 45.53)
+    assert number.value == 42.53
+    assert number.rounding == pytest.approx(0.005)
+    assert number.nearest(43.0) == 42.53
+    assert number.nearest(math.nan) == number.value
+    assert Published("id", "t", "c", "0.25").uncertain == ""
+
+
+def test_a_number_that_may_be_several_is_reproduced_by_any_and_the_row_names_the_nearest():
+    number = Published("id", "t", "c", "4[25]")
+    found = row(number, Interval(45.2, 44.8, 45.6), 10)
+    assert (found.verdict, found.published) == ("reproduced", 45.0)
+    assert "one of 2 numbers from 42 to 45" in found.why
+    between = row(number, Interval(43.5, 43.0, 44.0), 10)
+    assert between.verdict == "not reproduced", "what lies between the two is neither of them"
+
+
 def test_an_interval_wider_than_its_value_decides_nothing():
     wide = Interval(0.4, 0.1, 0.9)
     assert verdict(NUMBER, wide)[0] == "not comparable"
@@ -168,6 +187,10 @@ def test_results_that_break_the_schema_are_refused(place, value, said):
             "twice",
         ),
         ("paper = '9'\ntitle = 't'\n[[published]]\nid='a'\ntable=''\ncell=''\nvalue='x'", "float"),
+        (
+            "paper = '9'\ntitle = 't'\n[[published]]\nid='a'\ntable=''\ncell=''\nvalue='1[2'",
+            "float",
+        ),
     ],
 )
 def test_data_of_a_paper_that_are_malformed_are_named(text, said):
