@@ -10,7 +10,7 @@ import numpy as np
 
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, Gaussian, Innovation, Projection, brief
-from tracker_particle import draws
+from tracker_particle import alone, draws
 from tracker_particle.belief import Particles, spread
 from tracker_particle.likelihood import projected, seen, surprise, weighed
 from tracker_particle.parameters import a_count
@@ -83,6 +83,9 @@ class AuxiliaryFilter:
         t: Any = None,
     ) -> Offspring:
         """One child of each particle, ``dt`` seconds later."""
+        weights = _children(state).log_weights
+        if alone.are(weights, motion):
+            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
         parents = _children(state)
         points = parents.points
         G = root(motion.Q(points, dt))
@@ -114,6 +117,9 @@ class AuxiliaryFilter:
         projection: Projection | None = None,
     ) -> tuple[Particles, Innovation]:
         """Choose parents in sight of ``z``, then weigh their children."""
+        weights = _children(state).log_weights
+        if alone.are(weights, sensor):
+            return alone.updated(self, state, weights.shape[1:], sensor, z, pose, projection)
         if isinstance(state, Particles):  # nobody's children: there are no parents to choose
             return weighed(state, sensor, z, pose, projection)
         before = state.particles

@@ -34,7 +34,7 @@ class Particles:
     circular: Flags = ()
     known: Gaussian | None = attrs.field(default=None, init=False, repr=False)
     """The moments, where they were found on the way; a changed copy does not have them."""
-    known_size: float | None = attrs.field(default=None, init=False, repr=False)
+    known_size: Any = attrs.field(default=None, init=False, repr=False)
     memory: Any = attrs.field(default=None, init=False, repr=False)
     """What points and log weights look into, where a compiled pass wrote them."""
 
@@ -47,7 +47,7 @@ class Particles:
         step: int,
         circular: Flags,
         moments: Gaussian | None,
-        size: float | None = None,
+        size: Any = None,
         memory: Any = None,
     ) -> Particles:
         """Particles whose moments, and perhaps effective sample size, are known already."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
+from tracker_particle import alone
 from tracker_particle.belief import Particles
 from tracker_particle.likelihood import projected, weighed
 from tracker_particle.parameters import a_count, a_share
@@ -58,6 +59,9 @@ class BootstrapFilter:
         self, state: Particles, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
     ) -> Particles:
         """Each particle ``dt`` seconds later, after resampling where it is due."""
+        weights = state.log_weights
+        if alone.are(weights, motion):
+            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
         return propagated(resampled(state, self.resampling, self.threshold), motion, dt, u, t)
 
     def project(self, state: Particles, sensor: SensorModel, pose: Any = None) -> Projection:
@@ -73,4 +77,7 @@ class BootstrapFilter:
         projection: Projection | None = None,
     ) -> tuple[Particles, Innovation]:
         """Weigh the particles; components that are NaN were not measured."""
+        weights = state.log_weights
+        if alone.are(weights, sensor):
+            return alone.updated(self, state, weights.shape[1:], sensor, z, pose, projection)
         return weighed(state, sensor, z, pose, projection)

@@ -15,7 +15,7 @@ from tracker.errors import CapabilityError, DomainError, wording
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, Columns, Gaussian, Innovation, Projection, Space, brief
-from tracker_particle import draws
+from tracker_particle import alone, draws
 from tracker_particle.belief import Flags, centred, even, mean_of, outer, spread
 from tracker_particle.likelihood import distance
 from tracker_particle.parameters import a_count, a_share
@@ -153,6 +153,9 @@ class MarginalisedFilter:
         t: Any = None,
     ) -> MarginalisedParticles:
         """Draw the nonlinear components ahead; condition the linear ones on what was drawn."""
+        weights = state.log_weights
+        if alone.are(weights, motion):
+            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
         state = self._resampled(state)
         x = state.states
         given = (dt, wide(u), t)
@@ -198,6 +201,9 @@ class MarginalisedFilter:
         projection: Projection | None = None,
     ) -> tuple[MarginalisedParticles, Innovation]:
         """Weigh by the likelihood given the particle; each particle's Kalman filter takes ``z`` too."""
+        batch = state.log_weights.shape[1:]
+        if alone.are(state.log_weights, sensor):
+            return alone.updated(self, state, batch, sensor, z, pose, projection)
         x, weights = state.states, state.weights
         where = wide(pose)
         _refuse_nonlinear(sensor, sensor.R, state, x, (where,))

@@ -124,7 +124,7 @@ def picked(points: Array, ancestors: Ancestors) -> Array:
 def resampled(state: Particles, scheme: Scheme, threshold: float) -> Particles:
     """The same belief in particles of even weight, in the lanes where it is due."""
     enough = least_size(threshold, len(state.log_weights))
-    if state.known_size is not None and state.known_size >= enough:
+    if state.known_size is not None and np.all(state.known_size >= enough):
         return state
     weights = state.weights
     needed = due(weights, threshold)

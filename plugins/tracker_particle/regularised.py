@@ -12,7 +12,7 @@ import numpy as np
 from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, Gaussian, Innovation, Projection
-from tracker_particle import draws
+from tracker_particle import alone, draws
 from tracker_particle.belief import Particles, centred, outer, spread
 from tracker_particle.likelihood import projected, weighed
 from tracker_particle.parameters import a_count, a_share, positive
@@ -31,7 +31,9 @@ class RegularisedFilter:
     bandwidth that is best for a Gaussian density, times ``bandwidth``: so that particles stay
     different where process noise is too small to part them. The cloud grows a little each time, by
     ``1 + h**2`` in covariance for the Gaussian kernel: the price, which falls with the number of
-    particles.
+    particles. What is best for one density is too wide for one that is smoothed again and again: on
+    two stations, with 2,000 particles, the mean NEES of four components is 3.3 at ``bandwidth`` 1
+    and 4.1 at 0.5.
 
     Reference: Musso, Oudjane and Le Gland 2001, Improving regularised particle filters, in Doucet, de
         Freitas and Gordon, Sequential Monte Carlo Methods in Practice, section 12.2, eq. 12.2.4 to
@@ -44,7 +46,7 @@ class RegularisedFilter:
     threshold: Annotated[float, "1"] = attrs.field(default=0.5, validator=a_share)
     resampling: Scheme = attrs.field(default=SYSTEMATIC, converter=scheme)
     kernel: Annotated[str, "1"] = attrs.field(default=KERNELS[0])
-    bandwidth: Annotated[float, "1"] = attrs.field(default=1.0, validator=positive)
+    bandwidth: Annotated[float, "1"] = attrs.field(default=0.5, validator=positive)
 
     needs = ()
     random = True
@@ -68,6 +70,9 @@ class RegularisedFilter:
         self, state: Particles, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
     ) -> Particles:
         """Each particle ``dt`` seconds later, after resampling and spreading where it is due."""
+        weights = state.log_weights
+        if alone.are(weights, motion):
+            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
         return propagated(self._renewed(state), motion, dt, u, t)
 
     def project(self, state: Particles, sensor: SensorModel, pose: Any = None) -> Projection:
@@ -83,6 +88,9 @@ class RegularisedFilter:
         projection: Projection | None = None,
     ) -> tuple[Particles, Innovation]:
         """Weigh the particles; components that are NaN were not measured."""
+        weights = state.log_weights
+        if alone.are(weights, sensor):
+            return alone.updated(self, state, weights.shape[1:], sensor, z, pose, projection)
         return weighed(state, sensor, z, pose, projection)
 
     def _renewed(self, state: Particles) -> Particles:

@@ -9,7 +9,7 @@ import numpy as np
 from tracker.errors import CapabilityError, wording
 from tracker.protocols import MotionModel
 from tracker.types import Gaussian
-from tracker_particle import draws
+from tracker_particle import alone, draws
 from tracker_particle.belief import Particles, even, spread
 from tracker_particle.propagation import root
 
@@ -32,7 +32,10 @@ def begun(
     noise = draws.normals(key, 0, draws.START, G.shape[1], count)
     points = prior.mean[:, None] + spread(G[:, :, None], noise)
     circular = () if motion is None else tuple(motion.space.circular)
-    return Particles(points, even(count, prior.batch), key, 1, circular)
+    log_weights = even(count, prior.batch)
+    if count > alone.FEW:
+        points, log_weights = (alone.lane_first(a, prior.batch) for a in (points, log_weights))
+    return Particles(points, log_weights, key, 1, circular)
 
 
 def needed(

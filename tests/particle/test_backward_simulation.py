@@ -77,7 +77,7 @@ def test_paths_are_draws_of_whole_trajectories() -> None:
         # 32 means of 30 runs, 5.5 standard errors (Student's): false alarm 2e-4.
         error = gap.std(axis=-1, ddof=1) / np.sqrt(runs)
         assert (np.abs(gap.mean(axis=-1)) < 5.5 * error).all()
-        assert error.max() < 0.1
+        assert error.max() < 0.2
 
 
 def test_the_last_step_equals_the_filter() -> None:
