@@ -432,3 +432,34 @@ def test_a_campaign_of_modes_is_consistent_where_the_truth_is_one_of_them():
     imm, kf = (campaign.scores[name]["filter"] for name in ("imm", "kf"))
     assert 0.7 * 4 < imm.mean_nees < 1.3 * 4
     assert imm.rmse.value < 1.1 * kf.rmse.value
+
+
+def test_a_heading_is_mixed_across_the_cut():
+    from tracker.models import ComponentSensor
+    from tracker.models import wrap as wrapped
+
+    space = tk.Space.of("heading [rad] circular", "rate [rad/s]")
+
+    def turning(by):
+        return ComponentMotion(
+            name="turning", space=space, parameters={"by": by},
+            advance=lambda heading, rate, *, dt, by: (wrapped(heading + dt * (rate + by)), rate),
+            noise=lambda *, dt: ((1e-3 * dt, 0.0), (0.0, 1e-6 * dt)),
+        )  # fmt: skip
+
+    compass = ComponentSensor(
+        name="compass", measure=lambda heading: (heading,), noise=lambda: ((1e-2,),),
+        space=tk.Space.of("heading [rad] circular"), state=space,
+    )  # fmt: skip
+    motion = switching([turning(0.05), turning(-0.05)], CHAIN)
+    rng, t = np.random.default_rng(4), np.arange(1.0, 41.0)
+    truth = np.pi + 0.3 * np.sin(t / 3.0)
+    z = wrapped(truth + 0.1 * rng.standard_normal(40))[:, None]
+    prior = tk.Gaussian(np.array([-3.1, 0.0]), np.diag([0.1, 1e-3]))
+    for smoother in (None, "imm_smoother"):
+        history = run(
+            motion, sensor=compass, prior=prior, measured=tk.Record(t, z), smoother=smoother
+        )
+        error = wrapped(history.estimate.mean[:, 0] - truth)
+        assert np.abs(error).max() < 0.4
+        assert history.estimate.cov[:, 0, 0].max() < 0.1
