@@ -10,6 +10,8 @@ from typing import Any
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LIMIT = "limit of this core"
+ALWAYS = {"arrays": 3, "dynamax": 4, "filterpy": 5}
+"""Places in the palette of what occurs in several pictures; the others take what is left."""
 
 Curve = tuple[Sequence[float], Sequence[float]]
 
@@ -34,14 +36,15 @@ def draw(
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     axes: Any = figure.add_subplot()
-    number = 0
+    taken = [place for word, place in ALWAYS.items() if any(k.startswith(word) for k in curves)]
+    free = iter([i for i in range(7) if i not in taken] * len(curves))
     for label, (x, y) in curves.items():
         if label.startswith(LIMIT):
             axes.plot(x, y, "--", color="0.35", lw=1.5, label=label)
             continue
-        colour, marker = COLOURS[number % 7], MARKERS[number % 7]
-        axes.plot(x, y, marker=marker, color=colour, label=label, lw=1.6, ms=5)
-        number += 1
+        same = [place for word, place in ALWAYS.items() if label.startswith(word)]
+        number = same[0] if same else next(free)
+        axes.plot(x, y, marker=MARKERS[number], color=COLOURS[number], label=label, lw=1.6, ms=5)
     axes.set(xscale="log", yscale="log", xlabel=across, ylabel=up)
     axes.set_title(f"{title}\n", fontsize=11, loc="left")
     axes.text(0, 1.02, note, transform=axes.transAxes, fontsize=8, color="0.35")
