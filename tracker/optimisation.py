@@ -67,11 +67,11 @@ class Optimisation:
         """The place of the restart with the lowest cost.
 
         Raises:
-            CapabilityError: if the cost has several rows: see `front`.
+            CapabilityError: if the cost has several rows: see `survivors`.
         """
         if len(self.cost) != 1:
             raise CapabilityError(
-                wording("the best candidate", got=f"a cost of {len(self.cost)} rows", do="use front()",
+                wording("the best candidate", got=f"a cost of {len(self.cost)} rows", do="use survivors()",
                         expected="one objective")
             )  # fmt: skip
         return int(np.argmin(self.cost[0]))

@@ -19,9 +19,6 @@ SELECTIONS = ("tournament", "rank", "roulette")
 CROSSOVERS = ("one_point", "arithmetic", "blend", "simulated_binary")
 MUTATIONS = ("gaussian", "uniform", "polynomial")
 
-_COPIES = np.array([0.0, 1.0]).reshape(2, 1, 1)
-"""The second parent's share in two children that are copies of their parents."""
-
 
 @attrs.frozen(eq=False)
 class Generation:
@@ -70,7 +67,7 @@ class Genetic:
 
     population: int = attrs.field(default=50, validator=parameters.count(2))
     selection: str = attrs.field(default="tournament", validator=parameters.one_of(SELECTIONS))
-    crossover: str = attrs.field(default="blend", validator=parameters.one_of(CROSSOVERS))
+    crossover: str = attrs.field(default="one_point", validator=parameters.one_of(CROSSOVERS))
     mutation: str = attrs.field(default="gaussian", validator=parameters.one_of(MUTATIONS))
     crossover_rate: float = attrs.field(default=0.9, validator=parameters.number(0.0, 1.0))
     mutation_rate: float | None = attrs.field(
@@ -131,8 +128,7 @@ class Genetic:
 
         ranks = self._selected(select, value, order, count)
         parents = box.picked(x, order.take(ranks) if lanes == 1 else _at(order, ranks))
-        children = self._crossed(parents[:, :pairs], parents[:, pairs:], cross, mix)
-        children = children.reshape(d, 2 * pairs, lanes)[:, :count]
+        children = self._crossed(parents[:, :pairs], parents[:, pairs:], cross, mix)[:, :count]
         rate = 1.0 / d if self.mutation_rate is None else self.mutation_rate
         mutant = (which < rate).reshape(children.shape)
         how = (steps if normal else how).reshape(children.shape)
@@ -168,31 +164,30 @@ class Genetic:
         return _places(np.add.reduce(beyond, axis=0, dtype=np.intp), count)
 
     def _crossed(self, first: Array, second: Array, cross: Array, mix: Array) -> Array:
-        """Children ``(d, 2, pairs, lanes)`` of pairs, as ``(1 - share) first + share second``."""
+        """Children ``(d, 2 pairs, lanes)`` of pairs: those of the first parents, then of the second."""
         d, pairs, lanes = first.shape
         copied = cross >= self.crossover_rate
-        if self.crossover == "simulated_binary":
+        if self.crossover == "one_point":
+            # Cut after 1 to d - 1 genes; a cut after all of them leaves copies.
+            cut = np.where(copied, d, 1.0 + np.floor(mix * (d - 1)))
+            tail = np.arange(d)[:, None, None] >= cut
+            one, two = np.where(tail, second, first), np.where(tail, first, second)
+        elif self.crossover == "simulated_binary":
             spread, swap = mix.reshape(2, d, pairs, lanes)
-            one, two = variation.simulated_binary(first, second, spread, self.crossover_index)
+            low, high = variation.simulated_binary(first, second, spread, self.crossover_index)
             # The pair is sorted by value: a fair coin for each gene says whose child is the lower.
-            one, two = np.where(swap < 0.5, one, two), np.where(swap < 0.5, two, one)
-            return np.stack([np.where(copied, first, one), np.where(copied, second, two)], axis=1)
-        if self.crossover == "blend":
-            share = mix.reshape(d, 2, pairs, lanes)
-            share *= 1.0 + 2.0 * self.blend
-            share -= self.blend
+            one, two = np.where(swap < 0.5, low, high), np.where(swap < 0.5, high, low)
+            one, two = np.where(copied, first, one), np.where(copied, second, two)
+        elif self.crossover == "blend":
+            mix *= 1.0 + 2.0 * self.blend
+            mix -= self.blend
+            share = mix.reshape(2, d, pairs, lanes)
+            one = _between(first, second, np.where(copied, 0.0, share[0]))
+            two = _between(first, second, np.where(copied, 1.0, share[1]))
         else:
-            # Cut after 1 to d - 1 genes; with one gene there is nothing to cut.
-            places = np.arange(d)[:, None, None]
-            cuts = self.crossover == "one_point"
-            one = places >= 1 + np.floor(mix * (d - 1)) if cuts else mix * np.ones((d, 1, 1))
-            share = np.stack([one, 1.0 - one], axis=1)
-        np.copyto(share, _COPIES, where=copied)
-        children = share * second[:, None]
-        np.subtract(1.0, share, out=share)
-        share *= first[:, None]
-        children += share
-        return children
+            one = _between(first, second, np.where(copied, 0.0, mix))
+            two = _between(first, second, np.where(copied, 1.0, 1.0 - mix))
+        return np.concatenate([one, two], axis=1)
 
     def _mutated(self, children: Array, mutant: Any, how: Array) -> Array:
         if self.mutation == "gaussian":
@@ -206,6 +201,13 @@ class Genetic:
             step = variation.polynomial_step(inside, how, self.mutation_index)
             children = inside + np.where(mutant, step, 0.0)
         return variation.within(children)
+
+
+def _between(first: Array, second: Array, share: Array) -> Array:
+    """First where the share is 0, second where it is 1, exactly."""
+    out: Array = (1.0 - share) * first
+    out += share * second
+    return out
 
 
 def _places(slots: Any, count: int) -> npt.NDArray[np.intp]:
