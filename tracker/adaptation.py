@@ -11,10 +11,18 @@ import attrs
 import numpy as np
 
 from tracker.errors import DomainError, wording
+from tracker.models.functions import sqrt
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, brief
 
-__all__ = ["Window", "with_noise", "with_process_noise"]
+__all__ = [
+    "Window",
+    "untuned",
+    "with_noise",
+    "with_process_noise",
+    "with_scaled_noise",
+    "with_scaled_process_noise",
+]
 
 
 @attrs.frozen(eq=False)
@@ -93,3 +101,58 @@ def with_noise(sensor: SensorModel, R: Any) -> SensorModel:
 def with_process_noise(motion: MotionModel, Q: Any) -> MotionModel:
     """The motion with another covariance of the process noise, ``(n, n, *batch)``, whatever dt."""
     return _OtherNoise(motion, "Q", Q)
+
+
+@attrs.frozen(eq=False)
+class _ScaledNoise:
+    """A model of which one covariance was scaled; everything else is the model's own."""
+
+    _model: Any
+    _name: str
+    _scale: Any
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # as above
+            raise AttributeError(name)
+        return getattr(self._model, name)
+
+    def Q(self, x: Array, dt: Any) -> Array:
+        """Covariance of the process noise."""
+        own = self._model.Q(x, dt)
+        return _scaled(own, self._scale) if self._name == "Q" else own  # type: ignore[no-any-return]
+
+    def R(self, x: Array, pose: Any = None) -> Array:
+        """Covariance of the measurement noise."""
+        own = self._model.R(x, pose)
+        return _scaled(own, self._scale) if self._name == "R" else own  # type: ignore[no-any-return]
+
+
+def _scaled(cov: Any, scale: Any) -> Any:
+    """Every row and column times the root of its scale: variances are scaled, correlations stay."""
+    root = sqrt(scale)
+    out = cov * (root[:, None] * root[None])
+    for i in range(len(scale)):
+        out[i, i] = cov[i, i] * scale[i]
+    return out
+
+
+def with_scaled_noise(sensor: SensorModel, scale: Any) -> SensorModel:
+    """The sensor with each variance of its noise times a scale ``(m, *batch)``; correlations stay.
+
+    What remains the sensor's own is how its noise depends on state and pose.
+    """
+    return _ScaledNoise(sensor, "R", scale)
+
+
+def with_scaled_process_noise(motion: MotionModel, scale: Any) -> MotionModel:
+    """The motion with each variance of its noise times a scale ``(n, *batch)``; correlations stay.
+
+    What remains the motion's own is how its noise depends on state and time step: a step of no time
+    has none.
+    """
+    return _ScaledNoise(motion, "Q", scale)
+
+
+def untuned(model: Any) -> Any:
+    """The model that was given to one of the functions above; any other model as it is."""
+    return model._model if isinstance(model, (_OtherNoise, _ScaledNoise)) else model  # noqa: SLF001 - their maker asks

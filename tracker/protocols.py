@@ -183,7 +183,8 @@ class HasBegin(Protocol):
     tells what structure its matrices have. A filter that draws random numbers has ``random = True``,
     takes ``rng`` (a generator, or a sequence with one per lane) by keyword here and nowhere else,
     and keeps in its belief what makes later draws reproducible. One whose belief has parts for each
-    mode of a motion takes ``motion=None`` too, and is given the estimator's.
+    mode of a motion takes ``motion=None`` too, and is given the estimator's; one that has parts for
+    each measured component takes ``sensors=None``.
     """
 
     def begin(self, prior: Gaussian) -> Any:

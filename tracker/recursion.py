@@ -72,7 +72,8 @@ def begin(
         return prior
     belief = prior
     if hasattr(filter_, "begin"):
-        known = {"motion": motion} if _asks_for("motion", filter_.begin) else {}
+        offered = {"motion": motion, "sensors": sensors}
+        known = {k: v for k, v in offered.items() if _asks_for(k, filter_.begin)}
         if not is_random(filter_):
             belief = filter_.begin(prior, **known)
         elif rng is not None or type(prior) is not Gaussian:

@@ -20,7 +20,7 @@ from tracker.errors import DomainError, wording
 from tracker.testing import strategies
 from tracker.types import Array, Space
 
-KINDS = ("motion", "sensor", "filter", "smoother", "gate", "associator", "optimiser")
+KINDS = ("motion", "sensor", "filter", "smoother", "adapter", "gate", "associator", "optimiser")
 
 T = TypeVar("T")
 Body = Callable[[Any, "Case"], None]

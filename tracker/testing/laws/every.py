@@ -41,7 +41,7 @@ def lane_by_lane(component: Any, case: Case) -> None:
                     f"{type(error).__name__}: {error}; components come first, any batch axes last"
                 ) from error
             # One run goes through LAPACK where there are matrices to factor.
-            rounding = 1e-9 if case.kind in {"filter", "smoother"} else 1e-12
+            rounding = 1e-9 if case.kind in {"filter", "smoother", "adapter"} else 1e-12
             for index in lanes(batch) if batch else []:
                 _same_alone(component, call, full, index, rounding)
 
