@@ -167,6 +167,79 @@ def stonesoup_ekf(
     return run
 
 
+def stonesoup_particles(
+    z: Any,
+    x0: Any,
+    P0: Any,
+    *,
+    count: int,
+    stations: Any,
+    seed: int,
+    dt: float,
+    density: float,
+    sigma: float,
+) -> Run:
+    """Stone Soup's stock particle predictor and updater, with its systematic resampler."""
+    from stonesoup.models.measurement.nonlinear import (
+        Cartesian2DToBearing,
+        CombinedReversibleGaussianMeasurementModel,
+    )
+    from stonesoup.models.transition.linear import (
+        CombinedLinearGaussianTransitionModel,
+        ConstantVelocity,
+    )
+    from stonesoup.predictor.particle import ParticlePredictor
+    from stonesoup.resampler.particle import ESSResampler, SystematicResampler
+    from stonesoup.types.angle import Bearing
+    from stonesoup.types.array import StateVector, StateVectors
+    from stonesoup.types.detection import Detection
+    from stonesoup.types.hypothesis import SingleHypothesis
+    from stonesoup.types.state import ParticleState
+    from stonesoup.updater.particle import ParticleUpdater
+
+    order = [0, 2, 1, 3]  # x, vx, y, vy, as above
+    rng = np.random.default_rng(seed)
+    motion = CombinedLinearGaussianTransitionModel([ConstantVelocity(density)] * 2, seed=seed)
+    bearing = CombinedReversibleGaussianMeasurementModel(
+        [
+            Cartesian2DToBearing(
+                ndim_state=4,
+                mapping=(0, 2),
+                noise_covar=np.array([[sigma**2]]),
+                translation_offset=np.array([[sx], [sy]]),
+            )
+            for sx, sy in stations
+        ]
+    )
+    predictor = ParticlePredictor(motion)
+    updater = ParticleUpdater(bearing, resampler=ESSResampler(resampler=SystematicResampler()))
+    start, step = datetime(2000, 1, 1, tzinfo=UTC), timedelta(seconds=dt)
+    detections = [
+        Detection(
+            StateVector([[Bearing(a)], [Bearing(b)]]),
+            timestamp=start + (k + 1) * step,
+            measurement_model=bearing,
+        )
+        for k, (a, b) in enumerate(z)
+    ]
+
+    def run() -> Any:
+        drawn = rng.multivariate_normal(
+            np.asarray(x0)[order], np.asarray(P0)[np.ix_(order, order)], count
+        )
+        state = ParticleState(
+            StateVectors(drawn.T), weight=np.full(count, 1.0 / count), timestamp=start
+        )
+        means = np.empty((len(z), 4))
+        for k, detection in enumerate(detections):
+            predicted = predictor.predict(state, timestamp=detection.timestamp)
+            state = updater.update(SingleHypothesis(predicted, detection))
+            means[k] = np.asarray(state.mean, dtype=np.float64)[:, 0][order]
+        return means
+
+    return run
+
+
 def dynamax_ekf(
     z: Any, x0: Any, P0: Any, *, stations: Any, dt: float, density: float, sigma: float
 ) -> Run:

@@ -28,6 +28,7 @@ import family
 import handwritten
 import measure
 import numpy as np
+import particles
 import peers
 import sweeps
 import targets
@@ -291,6 +292,7 @@ def imports() -> None:
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "targets": targets.targets,
     "family": family.family,
+    "particles": particles.particles,
     "sweeps": sweeps.sweeps,
     "monte_carlo": monte_carlo,
     "online": online,
