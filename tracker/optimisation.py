@@ -6,6 +6,7 @@ depend on the seed and its own number alone, not on the others, nor on whether i
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -329,6 +330,7 @@ class _Search:
     def run(self) -> Optimisation:
         """Generations until the budget is used, or every restart has ended."""
         pending = self.begun.pending
+        watched = not (self.finished is self.patience is self.target is None)
         memory = _lanes(self.memory, self.active)
         while self.active.size and self.now < self.budget:
             x = self.optimiser.ask(memory)
@@ -346,7 +348,8 @@ class _Search:
                 break
             pending = value[:, :0]
             memory = self.optimiser.tell(memory, value)
-            memory = self._after_a_generation(memory)
+            if watched:
+                memory = self._after_a_generation(memory)
         self.used[self.active] = self.now
         self.stopped[self.active] = BUDGET
         self.memory = _merged(self.memory, memory, self.active)
@@ -371,33 +374,30 @@ class _Search:
 
     def _note(self, x: Array, value: Array) -> None:
         """The best so far, and where."""
-        count = self.active.size
-        at = value.argmin(axis=1)
-        places = at * count + np.arange(count)
-        lowest = value.reshape(self.rows, -1)[np.arange(self.rows)[:, None], places]
-        before = self.cost if count == self.cost.shape[1] else self.cost[:, self.active]
-        better = lowest < before
-        if better.any():
-            row, lane = np.nonzero(better)
-            self.cost[row, self.active[lane]] = lowest[row, lane]
-            self.x[:, row, self.active[lane]] = x.reshape(len(x), -1)[:, places[row, lane]]
+        everybody = self.active.size == self.cost.shape[1]
+        lowest = np.minimum.reduce(value, axis=1)
+        better = lowest < (self.cost if everybody else self.cost[:, self.active])
+        if np.count_nonzero(better):
+            row, lane = better.nonzero()
+            mine = self.active[lane]
+            self.cost[row, mine] = lowest[row, lane]
+            self.x[:, row, mine] = x[:, value.argmin(axis=1)[row, lane], lane]
 
     def _after_a_generation(self, memory: Any) -> Any:
         """Let those restarts go that have ended."""
-        if self.target is None and self.patience is None and self.finished is None:
-            return memory
-        active, ended = self.active, np.zeros(self.active.size, dtype=np.int64)
-        best = self.cost[0, active]
-        better = best < self.waited[1, active] - self.tolerance
-        self.waited[0, active] = np.where(better, 0, self.waited[0, active] + 1)
-        self.waited[1, active] = np.where(better, best, self.waited[1, active])
+        active = self.active
+        ended = np.zeros(active.size, dtype=np.int64)
         if self.finished is not None:
             ended[self.finished(memory)] = FINISHED
         if self.patience is not None:
-            ended[self.waited[0, active] >= self.patience] = STALLED
+            best, (waited, reference) = self.cost[0, active], self.waited[:, active]
+            better = best < reference - self.tolerance
+            self.waited[0, active] = waited = np.where(better, 0, waited + 1)
+            self.waited[1, active] = np.where(better, best, reference)
+            ended[waited >= self.patience] = STALLED
         if self.target is not None:
-            ended[best <= self.target] = TARGET
-        if not ended.any():
+            ended[self.cost[0, active] <= self.target] = TARGET
+        if not np.count_nonzero(ended):
             return memory
         gone = ended != RUNNING
         self.used[active] = self.now
@@ -411,13 +411,16 @@ class _Search:
         # A generation that had been cut off is now whole, or longer: its line is written anew.
         kept = len(begun.evaluated) - bool(begun.pending.shape[1] and self.costs)
         evaluated, mean = [begun.evaluated[:kept]], [begun.mean[:kept]]
+        sizes = [value.shape[1] for value in self.costs]
         at = int(begun.evaluated[kept - 1]) if kept else 0
-        for value, lanes in zip(self.costs, self.lanes, strict=True):
-            at += value.shape[1]
-            evaluated.append(np.array([at]))
-            row = np.full((1, self.rows, count), np.nan)
-            row[0, :, lanes] = _mean(value).T
-            mean.append(row)
+        evaluated.append(at + np.cumsum(sizes, dtype=np.int64))
+        # Generations of as many candidates and the same restarts are worked together.
+        alike = [(size, id(lanes)) for size, lanes in zip(sizes, self.lanes, strict=True)]
+        first = [k for k in range(len(alike)) if k == 0 or alike[k] != alike[k - 1]]
+        for k, end in itertools.pairwise([*first, len(sizes)]):
+            lines = np.full((end - k, self.rows, count), np.nan)
+            lines[:, :, self.lanes[k]] = _mean(np.stack(self.costs[k:end]))
+            mean.append(lines)
         bests = [begun.best[:kept], *(one[None] for one in self.bests)]
         if not self.active.size:
             pending = np.empty((self.rows, 0, 0))
@@ -437,13 +440,13 @@ class _Search:
 
 
 def _mean(value: Array) -> Array:
-    """Mean over the finite costs ``(rows, k, lanes)`` of each row and lane; NaN if there is none.
+    """Mean over the finite costs ``(G, rows, k, lanes)`` of each generation; NaN if there is none.
 
     A running sum has the same bits for any number of lanes; NumPy's sum has not.
     """
     finite = np.isfinite(value)
-    total = np.add.accumulate(np.where(finite, value, 0.0), axis=1)[:, -1]
-    count = np.add.reduce(finite, axis=1)
+    total = np.add.accumulate(np.where(finite, value, 0.0), axis=2)[:, :, -1]
+    count = np.add.reduce(finite, axis=2)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 

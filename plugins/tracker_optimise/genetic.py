@@ -13,11 +13,14 @@ import numpy.typing as npt
 from tracker.errors import DomainError, wording
 from tracker.types import Array, brief
 from tracker_optimise import box, parameters, variation
-from tracker_optimise.draws import Keys, numbers
+from tracker_optimise.draws import Keys, uniforms
 
 SELECTIONS = ("tournament", "rank", "roulette")
 CROSSOVERS = ("one_point", "arithmetic", "blend", "simulated_binary")
 MUTATIONS = ("gaussian", "uniform", "polynomial")
+
+_LEAST = 1e-300
+"""The quantile of 0 is infinite."""
 
 
 @attrs.frozen(eq=False)
@@ -120,23 +123,23 @@ class Genetic:
         genes = d * count
         turns = self.contestants if self.selection == "tournament" else 1
         per_gene = self.crossover in {"blend", "simulated_binary"}
-        sizes = [2 * pairs * turns, pairs, (2 * d if per_gene else 1) * pairs, genes]
-        sizes.append(0 if self.mutation == "gaussian" else genes)
-        normal = genes if self.mutation == "gaussian" else 0
-        drawn, steps = numbers(memory.key, memory.generation, sum(sizes), normal)
-        select, cross, mix, which, how = box.parts(drawn, sizes)
+        drawn = uniforms(
+            memory.key,
+            memory.generation,
+            2 * pairs * turns + pairs + (2 * d if per_gene else 1) * pairs + genes,
+        )
+        select, cross, mix, which = box.parts(
+            drawn, [2 * pairs * turns, pairs, (2 * d if per_gene else 1) * pairs, genes]
+        )
 
         ranks = self._selected(select, value, order, count)
         parents = box.picked(x, order.take(ranks) if lanes == 1 else _at(order, ranks))
         children = self._crossed(parents[:, :pairs], parents[:, pairs:], cross, mix)[:, :count]
-        rate = 1.0 / d if self.mutation_rate is None else self.mutation_rate
-        mutant = (which < rate).reshape(children.shape)
-        how = (steps if normal else how).reshape(children.shape)
         return Generation(
             memory.box,
             memory.key,
             memory.generation + 1,
-            self._mutated(children, mutant, how).reshape(memory.asked.shape),
+            self._mutated(children, which).reshape(memory.asked.shape),
             box.picked(x, kept).reshape(d, self.elite, *restarts) if self.elite else memory.elite,
             _at(value, kept).reshape(self.elite, *restarts),
         )
@@ -189,18 +192,27 @@ class Genetic:
             two = _between(first, second, np.where(copied, 1.0, 1.0 - mix))
         return np.concatenate([one, two], axis=1)
 
-    def _mutated(self, children: Array, mutant: Any, how: Array) -> Array:
+    def _mutated(self, children: Array, which: Array) -> Array:
+        """Children ``(d, P, lanes)`` with some genes mutated, given uniforms of as many numbers.
+
+        A uniform that is below the rate chooses its gene; divided by the rate it is a uniform again,
+        and says how the gene mutates.
+        """
+        rate = 1.0 / len(children) if self.mutation_rate is None else self.mutation_rate
+        genes, chance = np.ascontiguousarray(children).reshape(-1), which.reshape(-1)
+        mutant = np.flatnonzero(chance < rate)
+        u, before = chance[mutant] / (rate or 1.0), genes[mutant]
         if self.mutation == "gaussian":
-            how *= self.mutation_size
-            how *= mutant
-            children += how
+            from scipy.special import ndtri
+
+            after = before + self.mutation_size * ndtri(np.maximum(u, _LEAST))
         elif self.mutation == "uniform":
-            children = np.where(mutant, how, children)
+            after = u
         else:
-            inside = variation.within(children)
-            step = variation.polynomial_step(inside, how, self.mutation_index)
-            children = inside + np.where(mutant, step, 0.0)
-        return variation.within(children)
+            before = variation.within(before)
+            after = before + variation.polynomial_step(before, u, self.mutation_index)
+        genes[mutant] = after
+        return variation.within(genes)
 
 
 def _between(first: Array, second: Array, share: Array) -> Array:
