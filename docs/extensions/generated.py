@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import json
 import pkgutil
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,52 @@ def catalogue() -> str:
         lines += ["## Nothing yet", ""]
         lines += [f"No component of these kinds is shipped yet: {', '.join(empty)}.", ""]
     return "\n".join(lines)
+
+
+# ---------------------------------------------------------------------------------- decisions
+DATA = Path(__file__).resolve().parents[1] / "data"
+PROBLEMS = {
+    "two_stations": "two stations, bearings",
+    "turning_target": "turning target",
+    "reentry": "re-entry",
+    "growth": "growth model",
+}
+
+
+def decisions() -> str:
+    """What `tracker compare --out` wrote for each problem, as one table: accuracy, consistency, cost."""
+    results = {name: json.loads((DATA / name / "results.json").read_text()) for name in PROBLEMS}
+    names = dict.fromkeys(r["estimator"] for found in results.values() for r in found["rows"])
+    lines = ["| filter | " + " | ".join(PROBLEMS.values()) + " | microseconds a step |"]
+    lines += ["|---" * (len(PROBLEMS) + 2) + "|"]
+    for name in names:
+        rows = {
+            problem: next((r for r in found["rows"] if r["estimator"] == name), None)
+            for problem, found in results.items()
+        }
+        cost = [r["cost_us"] for r in rows.values() if r is not None]
+        cells = [_decision(row) for row in rows.values()]
+        lines.append(f"| `{name}` | " + " | ".join([*cells, _span(cost)]) + " |")
+    runs = {found["runs"] for found in results.values()}
+    lines += ["", f"{' and '.join(map(str, sorted(runs)))} runs of each problem, seed 0."]
+    return "\n".join(lines) + "\n"
+
+
+def _decision(row: Any) -> str:
+    if row is None:
+        return "-"
+    nees = row["nees"] / row["n"]
+    lost = f", {row['diverged']} lost" if row["diverged"] else ""
+    return (
+        f"{row['median']:.3g}; {nees:.2g}{lost}"
+        if nees < 1e4
+        else f"{row['median']:.3g}; beyond 1e4{lost}"
+    )
+
+
+def _span(cost: list[float]) -> str:
+    low, high = (f"{v:.2g}" for v in (min(cost), max(cost)))
+    return low if low == high else f"{low} to {high}"
 
 
 def _verb(meaning: str) -> str:
@@ -164,7 +211,12 @@ def facade() -> str:
 # --------------------------------------------------------------------------------------- hooks
 def pages() -> dict[str, str]:
     """Every generated page: its path below the folder, and its text."""
-    made = {"catalogue.md": catalogue(), "commands.md": commands(), "facade.md": facade()}
+    made = {
+        "catalogue.md": catalogue(),
+        "commands.md": commands(),
+        "decisions.md": decisions(),
+        "facade.md": facade(),
+    }
     made |= {f"api/{root}.rst": api_page(root) for root in roots()}
     return made
 

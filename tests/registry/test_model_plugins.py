@@ -34,7 +34,7 @@ def test_every_public_factory_is_registered_with_source_tags_and_example(kind):
 @pytest.mark.parametrize("kind", PACKAGES)
 def test_parameters_that_have_a_unit_declare_it(kind):
     dimensionless = {"axes", "convention", "discretisation", "errors", "form", "state", "sensors"}
-    dimensionless |= {"names", "space", "F", "L", "Qc", "Q"}
+    dimensionless |= {"names", "space", "F", "L", "Qc", "Q", "paths"}
     dimensionless |= {"motion", "modes", "components", "sensor", "biases"}  # of compositions
     for component in registered(kind).values():
         for parameter in describe_parameters(component):

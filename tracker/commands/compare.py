@@ -11,13 +11,12 @@ from typing import Any
 import attrs
 import click
 
-from tracker import estimation
+from tracker import estimation, registry
 from tracker.commands.output import finite, folder_of, versions, write
 from tracker.commands.tables import print_table
 from tracker.compile.run import reason
 from tracker.errors import TrackerError
-from tracker.montecarlo import Campaign, monte_carlo
-from tracker.registry import filters
+from tracker.montecarlo import SLIGHT, Campaign, monte_carlo
 from tracker.simulation import Scenario, scenario
 
 HEAD = (
@@ -51,34 +50,34 @@ class Compared:
 
 
 @click.command()
-@click.argument("names", metavar="FILTER...", nargs=-1)
+@click.argument("filters", nargs=-1)
 @click.option("--scenario", "problem", default="two_stations", show_default=True, metavar="NAME")
 @click.option("--smoother", metavar="NAME", help="Smooth afterwards, and show that too.")
 @click.option("--runs", default=1000, show_default=True, type=click.IntRange(1))
 @click.option("--seed", default=0, show_default=True, type=int)
 @click.option("--out", metavar="DIR", help="Also write DIR/results.json.")
 def compare(
-    names: tuple[str, ...],
+    filters: tuple[str, ...],
     problem: str,
     smoother: str | None,
     runs: int,
     seed: int,
     out: str | None,
 ) -> None:
-    """Compare filters on a scenario: all FILTERs named, or every one that can run it.
+    """Compare FILTERS on a scenario; without names, every filter that can run it.
 
     All see the same runs. Cost is CPU time of filtering and scoring, simulation left out, after a first
     run that is not counted (it compiles). Filters that draw many points or iterate are worth their cost
     only where the table shows it.
     """
     scene = scenario(problem)
-    chosen = names or filters.names()
+    chosen = filters or registry.filters.names()
     done, left_out = [], []
     for name in chosen:
         try:
             done.append(_compared(name, scene, smoother, runs, seed))
         except TrackerError as error:
-            if names:
+            if filters:
                 raise
             left_out.append(f"{name}: {str(error).splitlines()[0]}")
     click.echo(f"{scene.name}: {runs} runs, {len(scene.t)} steps, seed {seed}")
@@ -130,4 +129,6 @@ def _word(row: dict[str, Any]) -> str:
     """As `tracker.montecarlo.Campaign.warnings`, in one word."""
     if not row["nees_share"] < 0.5:
         return "consistent"
-    return "overconfident" if row["nees"] > row["n"] else "underconfident"
+    ratio = row["nees"] / row["n"]
+    slightly = "slightly " if 1.0 / SLIGHT < ratio < SLIGHT else ""
+    return f"{slightly}overconfident" if ratio > 1.0 else f"{slightly}underconfident"
