@@ -558,12 +558,17 @@ def steps(
         yield k, i, predicted, state, innovation
 
 
-def tiles(batch: tuple[int, ...], n: int, width: int = 1) -> list[Any]:
-    """Groups of lanes small enough for their temporaries to stay in cache; never one lane alone.
+def together(n: int, width: int = 1) -> int:
+    """So many lanes are few enough for their temporaries to stay in cache.
 
     ``width``: members that a filter keeps of each lane.
     """
-    most = max(2, (LANE_BYTES if width == 1 else MEMBER_BYTES) // (8 * n * n * width))
+    return max(2, (LANE_BYTES if width == 1 else MEMBER_BYTES) // (8 * n * n * width))
+
+
+def tiles(batch: tuple[int, ...], n: int, width: int = 1) -> list[Any]:
+    """Groups of lanes small enough for their temporaries to stay in cache; never one lane alone."""
+    most = together(n, width)
     if len(batch) != 1 or batch[0] <= most:
         return [slice(None)]
     count = min(-(-batch[0] // most), batch[0] // 2)
@@ -806,4 +811,5 @@ __all__ = [
     "smoothed",
     "steps",
     "tiles",
+    "together",
 ]

@@ -26,13 +26,19 @@ from tracker.compile.values import (
     unpack,
 )
 from tracker.errors import TraceError
-from tracker.models.functions import absolute, isnan, less, where
+from tracker.models.functions import absolute, isnan, less, maximum, where
 from tracker.models.graph import Node
 from tracker.models.parameters import numbers_of, with_numbers
 from tracker.recursion import Adapted, advance, is_random
 from tracker.types import EMPTY_SPACE, Gaussian, Space
 
 INFINITY = float("inf")
+
+TOTALS = ("squared_error", "nees", "nis", "count", "loglik", "mismatch")
+"""What may be summed over time per lane, and nothing else; the first two need the truth."""
+
+WINDOW = 25
+"""Steps in the mean of squares of a mismatch (paper 4, eq. 3-5)."""
 
 
 @attrs.frozen
@@ -232,7 +238,7 @@ def forward(layout: Layout) -> Program:
     """Predict and update, with the histories or scores that ``layout.keep`` names.
 
     Keep: "predicted", "filtered", "innovation" and "beliefs" (histories); "scores" (against the input
-    "truth").
+    "truth"), or "total nees" and the like, for each of `TOTALS`.
     """
     count = len(layout.sensors)
     program = Program(variants=count)
@@ -245,7 +251,11 @@ def forward(layout: Layout) -> Program:
     carried = c.carried()
     z = program.input("z", max(s.space.size for s in layout.sensors), Rate.BOTH)
     scored = "scores" in layout.keep
-    truth = vector(program.input("truth", c.n, Rate.BOTH)) if scored else None
+    summed = [name for name in TOTALS if f"total {name}" in layout.keep]
+    told = scored or not {"squared_error", "nees"}.isdisjoint(summed)
+    truth = vector(program.input("truth", c.n, Rate.BOTH)) if told else None
+    if count > 1 and "mismatch" in summed:
+        raise TraceError("a mismatch is that of one sensor")
     counted = program.input("counted", 1, Rate.LANE)[0] if scored else 1.0
     for i in range(count):
         sensor, pose = c.sensor(i)
@@ -261,7 +271,9 @@ def forward(layout: Layout) -> Program:
             for when, value in (("predicted", predicted), ("filtered", belief)):
                 for name, found in entries(layout.belief, value).items():
                     program.history(f"{when}.{name}", found, i)
-        if truth is not None:
+        if summed:
+            totals(program, i, layout.motion, estimate, innovation, truth, summed)
+        if scored:
             more = [innovation.nis, innovation.count, innovation.loglik]
             scores(program, i, layout.motion, estimate, truth, counted, more)
     return program
@@ -358,6 +370,73 @@ def backward(layout: Layout) -> Program:
         counted = program.input("counted", 1, Rate.LANE)[0]
         scores(program, 0, layout.motion, out, truth, counted, [])
     return program
+
+
+def totals(
+    program: Program,
+    variant: int,
+    motion: Any,
+    estimate: Gaussian,
+    innovation: Any,
+    truth: Any,
+    names: Sequence[str],
+) -> None:
+    """Sums over time per lane of what is named, in the order of `TOTALS`."""
+    found = summands(motion.space, estimate, innovation, truth, names)
+    if "mismatch" in names:
+        v = list(innovation.residual)
+        kept = program.state("mismatch", 2 * len(v) + 1)
+        oldest = program.delay("mismatch.window", 2 * len(v), WINDOW)
+        found["mismatch"], kept, new = mismatched(kept, oldest, v, innovation.S)
+        program.set("mismatch", kept, variant)
+        program.feed("mismatch.window", new, variant)
+    program.total("totals", [entry for name in names for entry in found[name]], variant)
+
+
+def summands(
+    space: Space, estimate: Gaussian, innovation: Any, truth: Any, names: Collection[str]
+) -> dict[str, list[Any]]:
+    """What one step adds to the totals that need no memory, by name; arrays of lanes or nodes."""
+    found = {
+        "nis": [innovation.nis],
+        "count": [innovation.count],
+        "loglik": [innovation.loglik],
+    }
+    if {"squared_error", "nees"}.isdisjoint(names):
+        return found
+    errors = residual(estimate.mean, truth, space.circular if any(space.circular) else False)
+    squared: Any = 0.0
+    for i in space.position:
+        squared = squared + errors[i] * errors[i]
+    found["squared_error"] = [squared]
+    if "nees" in names:
+        found["nees"] = [mahalanobis(errors, estimate.cov)]
+    return found
+
+
+def mismatched(
+    kept: Sequence[Any], oldest: Sequence[Any], v: Sequence[Any], S: Any
+) -> tuple[list[Any], list[Any], list[Any]]:
+    """Squared degrees of mismatch ``S - C`` of each component, C the mean square of the last residuals.
+
+    C is 0 until a window has passed, and of what was measured in it (paper 4, eq. 3-5, 3-6).
+
+    Shapes:
+        kept: sums of squares, how many, and the steps so far, ``2 m + 1``; oldest, what falls out of the
+        window, ``2 m``. Returned: ``m`` squares, what is kept, and what enters the window.
+    """
+    m = len(v)
+    missing = [isnan(e) for e in v]
+    new = [where(no, 0.0, e * e) for no, e in zip(missing, v, strict=True)]
+    new += [where(no, 0.0, 1.0) for no in missing]
+    sums = [a + b - c for a, b, c in zip(kept, new, oldest, strict=False)]
+    steps = kept[2 * m] + where(less(kept[2 * m], WINDOW + 0.5), 1.0, 0.0)
+    squares = []
+    for i in range(m):
+        mean = sums[i] / maximum(sums[m + i], 1.0)
+        dom = S[i, i] - where(less(steps, WINDOW - 0.5), 0.0, mean)
+        squares.append(dom * dom)
+    return squares, [*sums, steps], new
 
 
 def scores(

@@ -339,12 +339,26 @@ class Prepared:
     groups: int
     _call: Callable[[int, int], None]
     _first: dict[str, Array]
+    _problem: _Problem
+    _prior: Gaussian
 
     def __call__(self) -> None:
         """Run all steps of all lanes from the prior."""
         for name, values in self._first.items():
             self.arrays[name][:] = values
         self._call(0, self.groups)
+
+    def put(self, name: str, values: Array) -> None:
+        """Other values ``(lanes,)`` of a number that differs per lane, such as "motion.density"."""
+        self.arrays[name][:] = tile(values[None])
+
+    def begin(self, estimator: Any) -> None:
+        """Begin as this estimator does, which differs from the first in numbers alone."""
+        _prior(attrs.evolve(self._problem, estimator=estimator), self._prior, self._first)
+
+    def totals(self) -> Array:
+        """Sums over time, ``(count, lanes)``."""
+        return untile(self.arrays["totals"], self._problem.lanes)
 
 
 def prepared(
@@ -357,14 +371,14 @@ def prepared(
 ) -> Prepared:
     """The forward program of a problem, ready to be run many times.
 
-    Keep: as in `tracker.compile.fuse.forward`; "scores" need the truth.
+    Keep: as in `tracker.compile.fuse.forward`; "scores" and totals of errors need the truth.
     """
     problem, made, arrays = _prepared(estimator, record, prior, start, keep)
     if truth is not None:
         arrays["truth"][:] = tile(_flat(truth, 2, record.batch))
-    first = {name: arrays[name].copy() for name in made.program.states}
+    first = {name: arrays[name].copy() for name in (*made.program.states, *made.program.delays)}
     call = made.bind(arrays, problem.groups, len(record))
-    return Prepared(made.program, arrays, problem.groups, call, first)
+    return Prepared(made.program, arrays, problem.groups, call, first, problem, prior)
 
 
 def _call(
