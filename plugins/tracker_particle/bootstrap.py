@@ -34,6 +34,18 @@ class BootstrapFilter:
         A tutorial on particle filters, algorithm 4.
     Laws: those of kind "filter" for what is random; on linear problems with Gaussian noise it
         converges to the Kalman filter as 1/sqrt(N).
+
+    Example:
+    >>> import tracker as tk
+    >>> scenario = tk.scenario("growth")
+    >>> simulation = scenario.simulate(seed=1, runs=2)
+    >>> estimator = tk.estimator(
+    ...     BootstrapFilter(particles=200), motion=scenario.motion, sensor=scenario.sensor)
+    >>> history = tk.filter(
+    ...     estimator, simulation.record, simulation.prior, start=simulation.start,
+    ...     rng=np.random.default_rng(2))
+    >>> history.filtered.mean.shape, bool(history.innovation.ok.all())
+    ((100, 1, 2), True)
     """
 
     particles: Annotated[int, "1"] = attrs.field(default=1000, validator=a_count)

@@ -412,7 +412,8 @@ def ahead(
     inputs = [] if u is None else np.asarray(u).tolist()
     n, count = state.points.shape
     k = root.shape[1]
-    found = None if any(flags) else _found(_made_ahead, motion, (k, len(inputs)))
+    usual = len(flags) == n and not any(flags)
+    found = _found(_made_ahead, motion, (k, len(inputs))) if usual else None
     if found is None:
         return None
     done, parameters = found
@@ -445,7 +446,8 @@ def weigh(
     n, count = state.points.shape
     place = [] if pose is None else np.asarray(pose).tolist()
     flags = sensor.state.circular
-    usual = len(place) == sensor.pose_space.size and len(flags) == n and not any(flags)
+    sizes = (len(flags), len(z), len(place)) == (n, sensor.space.size, sensor.pose_space.size)
+    usual = sizes and not any(flags)
     found = _found(_made_weigh, sensor, n) if usual else None
     if found is None:
         return None
@@ -531,7 +533,7 @@ def _runs(state: Particles) -> bool:
         and _available()
         and (
             state.memory is not None
-            or (points.flags.c_contiguous and state.log_weights.flags.c_contiguous)
+            or all(a.flags.c_contiguous and a.dtype == _DOUBLE for a in (points, state.log_weights))
         )
     )
 
