@@ -28,6 +28,7 @@ import family
 import handwritten
 import measure
 import numpy as np
+import optimisers
 import particles
 import peers
 import sweeps
@@ -293,6 +294,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "targets": targets.targets,
     "family": family.family,
     "particles": particles.particles,
+    "optimisers": optimisers.optimisers,
     "sweeps": sweeps.sweeps,
     "monte_carlo": monte_carlo,
     "online": online,

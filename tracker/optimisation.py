@@ -217,9 +217,9 @@ def optimise(
     >>> import tracker as tk
     >>> def bowl(x):
     ...     return ((x - 0.3) ** 2).sum(axis=0)
-    >>> found = tk.optimise(bowl, [[-1, 1]] * 3, evaluations=3000, restarts=4, seed=7)
+    >>> found = tk.optimise(bowl, [[-1, 1]] * 3, evaluations=5000, restarts=4, seed=7)
     >>> found.best_x.round(3).tolist(), found.evaluations.tolist()
-    ([0.3, 0.3, 0.3], [3000, 3000, 3000, 3000])
+    ([0.3, 0.3, 0.3], [5000, 5000, 5000, 5000])
     """
     _check(evaluations, patience, tolerance)
     if resume is None:
@@ -410,10 +410,10 @@ class _Search:
         begun, count = self.begun, len(self.begun.numbers)
         # A generation that had been cut off is now whole, or longer: its line is written anew.
         kept = len(begun.evaluated) - bool(begun.pending.shape[1] and self.costs)
-        evaluated, mean = [begun.evaluated[:kept]], [begun.mean[:kept]]
+        mean = [begun.mean[:kept]]
         sizes = [value.shape[1] for value in self.costs]
         at = int(begun.evaluated[kept - 1]) if kept else 0
-        evaluated.append(at + np.cumsum(sizes, dtype=np.int64))
+        evaluated = np.append(begun.evaluated[:kept], at + np.cumsum(sizes, dtype=np.int64))
         # Generations of as many candidates and the same restarts are worked together.
         alike = [(size, id(lanes)) for size, lanes in zip(sizes, self.lanes, strict=True)]
         first = [k for k in range(len(alike)) if k == 0 or alike[k] != alike[k - 1]]
@@ -428,7 +428,7 @@ class _Search:
             begun,
             x=self.x,
             cost=self.cost,
-            evaluated=np.concatenate(evaluated),
+            evaluated=evaluated,
             best=np.concatenate(bests),
             mean=np.concatenate(mean),
             evaluations=self.used,

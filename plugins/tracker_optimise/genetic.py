@@ -172,9 +172,11 @@ class Genetic:
         copied = cross >= self.crossover_rate
         if self.crossover == "one_point":
             # Cut after 1 to d - 1 genes; a cut after all of them leaves copies.
-            cut = np.where(copied, d, 1.0 + np.floor(mix * (d - 1)))
-            tail = np.arange(d)[:, None, None] >= cut
-            one, two = np.where(tail, second, first), np.where(tail, first, second)
+            cut = np.where(copied, d, mix * (d - 1))
+            tail = np.arange(d)[:, None, None] > cut
+            one, two = first.copy(), second.copy()
+            np.copyto(one, second, where=tail)
+            np.copyto(two, first, where=tail)
         elif self.crossover == "simulated_binary":
             spread, swap = mix.reshape(2, d, pairs, lanes)
             low, high = variation.simulated_binary(first, second, spread, self.crossover_index)

@@ -181,10 +181,10 @@ def nan_is_the_worst(optimiser: Any, case: Case) -> None:
     """A cost of NaN has the effect of an infinite one, and is never the best."""
     seeds, bounds, told = _seeds(case, (2,)), _bounds(case), _told(optimiser, case, (2,))
     holes = case.rng.uniform(size=told.shape) < 0.3
-    asked = [
+    missing, infinite = (
         _walk(optimiser, seeds, bounds, np.where(holes, hole, told)) for hole in (np.nan, np.inf)
-    ]
-    assert np.array_equal(*asked), "NaN is told apart from infinity"
+    )
+    assert np.array_equal(missing, infinite), "NaN is told apart from infinity"
     bowl = _bowl(optimiser, np.zeros(_D))
 
     def half(x: Array) -> Any:
