@@ -413,7 +413,7 @@ class _Search:
         mean = [begun.mean[:kept]]
         sizes = [value.shape[1] for value in self.costs]
         at = int(begun.evaluated[kept - 1]) if kept else 0
-        evaluated = np.append(begun.evaluated[:kept], at + np.cumsum(sizes, dtype=np.int64))
+        evaluated: Any = np.append(begun.evaluated[:kept], at + np.cumsum(sizes, dtype=np.int64))
         # Generations of as many candidates and the same restarts are worked together.
         alike = [(size, id(lanes)) for size, lanes in zip(sizes, self.lanes, strict=True)]
         first = [k for k in range(len(alike)) if k == 0 or alike[k] != alike[k - 1]]
