@@ -41,6 +41,9 @@ if TYPE_CHECKING:
     from tracker.registry import smoothers as smoothers
     from tracker.simulation import Scenario as Scenario
     from tracker.simulation import scenario as scenario
+    from tracker.tuning import Tuning as Tuning
+    from tracker.tuning import load_tuning as load_tuning
+    from tracker.tuning import tune as tune
     from tracker.types import PLANAR as PLANAR
     from tracker.types import SPATIAL as SPATIAL
     from tracker.types import Association as Association
@@ -82,6 +85,7 @@ _HOME = {
     "TrackerError": "errors",
     "Tracks": "types",
     "Trajectory": "types",
+    "Tuning": "tuning",
     "adapters": "registry",
     "associators": "registry",
     "default_registry": "registry",
@@ -92,6 +96,7 @@ _HOME = {
     "hookimpl": "hookspecs",
     "load_campaign": "montecarlo",
     "load_optimisation": "optimisation",
+    "load_tuning": "tuning",
     "monte_carlo": "montecarlo",
     "motions": "registry",
     "optimise": "optimisation",
@@ -104,6 +109,7 @@ _HOME = {
     "sensors": "registry",
     "smooth": "estimation",
     "smoothers": "registry",
+    "tune": "tuning",
 }
 _MODULES = frozenset({
     "algebra", "errors", "estimation", "geodesy", "io", "metrics", "models", "montecarlo", "pipeline",

@@ -417,7 +417,7 @@ def monte_carlo(
     if not named:
         raise CapabilityError("argument 'estimators': got none. Do this: pass at least one.")
     for label, built in named.items():
-        _comparable(label, built, scenario)
+        comparable(label, built, scenario)
     size = chunk or max(BLOCK, estimation.LANE_BYTES // (8 * scenario.motion.space.size**2))
     size = size // BLOCK * BLOCK if chunk is None else -(-size // BLOCK) * BLOCK
     pieces = [range(a, min(a + size, runs)) for a in range(0, runs, size)]
@@ -445,7 +445,7 @@ def monte_carlo(
     )
 
 
-def _comparable(label: str, estimator: Estimator, scenario: Scenario) -> None:
+def comparable(label: str, estimator: Estimator, scenario: Scenario) -> None:
     """Refuse an estimator whose states or measurements mean something else than the scenario's."""
     truth, assumed = scenario.motion.space, estimator.motion.space
     if assumed.names != truth.names:

@@ -88,9 +88,7 @@ def place(estimator: Estimator, name: str) -> Place:
     return ("sensor0" if owner == "sensor" else owner), own
 
 
-def retuned(
-    estimator: Estimator, places: Sequence[Sequence[Place]], values: Sequence[Any]
-) -> Estimator:
+def retuned(estimator: Estimator, places: Sequence[Sequence[Place]], values: Any) -> Estimator:
     """The estimator with other numbers: one value, a float or lanes, for each group of places.
 
     Raises:
@@ -107,9 +105,7 @@ def retuned(
     )
 
 
-def _parts(
-    estimator: Estimator, places: Sequence[Sequence[Place]], values: Sequence[Any]
-) -> dict[str, Any]:
+def _parts(estimator: Estimator, places: Sequence[Sequence[Place]], values: Any) -> dict[str, Any]:
     """The components whose numbers change, with other numbers."""
     given: dict[str, dict[str, Any]] = {}
     for group, value in zip(places, values, strict=True):
@@ -162,7 +158,9 @@ class Trials:
         runs = int(np.prod(record.batch, dtype=np.intp))
         self.estimator, self.places, self.start = estimator, places, start
         self.record, self.prior, self.runs = _in_a_row(record, prior, runs)
-        self.truth = np.reshape(truth, (*np.shape(truth)[:2], runs)) if told else None
+        self.truth: Array | None = None
+        if told and truth is not None:
+            self.truth = np.reshape(truth, (*np.shape(truth)[:2], runs))
         self.workers, self.draws = workers, draws
         self.reason = compiled.reason(self._lanes(self._present()))
         self.size = min(together, self._most())
@@ -176,12 +174,10 @@ class Trials:
             each total ``(1, k, runs)``, squared mismatches ``(m, k, runs)``. NaN where a run was
             lost, and for a setting that a component refuses.
 
-        Raises:
-            TrackerError: if every setting is refused: what the component says to the first.
         """
         settings, refused = self._accepted(np.asarray(values, dtype=np.float64))
         k, size = settings.shape[1], self.size
-        out = np.empty((self._count, k, self.runs))
+        out = np.full((self._count, k, self.runs), np.nan)
         work = self._on_arrays if self.reason else self._compiled
 
         def tile(first: int) -> None:
@@ -189,15 +185,16 @@ class Trials:
             found = work(settings[:, chosen]).reshape(self._count, size, self.runs)
             out[:, first : first + size] = found[:, : k - first]
 
-        each(tile, range(0, k, size), self.workers)
-        out[:, refused] = np.nan
+        if len(refused) < k:
+            each(tile, range(0, k, size), self.workers)
+            out[:, refused] = np.nan
         cuts = np.cumsum([self._m if name == "mismatch" else 1 for name in self.wanted])[:-1]
         return dict(zip(self.wanted, np.split(out, cuts), strict=True))
 
     # ------------------------------------------------------------------------------ inside
     @property
     def _m(self) -> int:
-        return self.estimator.sensors[0].space.size
+        return int(self.estimator.sensors[0].space.size)
 
     @property
     def _count(self) -> int:
@@ -213,8 +210,8 @@ class Trials:
         """Settings in a tile; not a matter of workers."""
         n = self.estimator.motion.space.size
         if self.reason:
-            width = getattr(self.estimator.filter, "width", 1)
-            return max(1, estimation.together(n, width) // self.runs)
+            members = int(getattr(self.estimator.filter, "width", 1))
+            return max(1, estimation.together(n, members) // self.runs)
         width = self.record.z.shape[1] + (0 if self.truth is None else n)
         return max(1, TILE_BYTES // (8 * len(self.record) * width * self.runs))
 
@@ -224,10 +221,9 @@ class Trials:
             return values, []
         refused = [i for i in range(values.shape[1]) if self._refuses(values[:, i : i + 1])]
         good = [i for i in range(values.shape[1]) if i not in refused]
-        if not good:
-            _parts(self.estimator, self.places, values[:, :1])
-        values = values.copy()
-        values[:, refused] = values[:, good[:1]]
+        if good:
+            values = values.copy()
+            values[:, refused] = values[:, good[:1]]
         return values, refused
 
     def _refuses(self, values: Array) -> bool:
@@ -305,7 +301,7 @@ class Trials:
         lanes = prior.batch
         total = np.zeros((self._count, *lanes))
         ring = np.zeros((WINDOW, 2 * self._m, *lanes))
-        kept: Sequence[Any] = np.zeros((2 * self._m + 1, *lanes))
+        kept: Any = np.zeros((2 * self._m + 1, *lanes))
         for step, _, _, belief, innovation in estimation.steps(
             estimator, record, prior, self.start, rng
         ):
@@ -314,7 +310,8 @@ class Trials:
                 estimator.motion.space, belief.moments(), innovation, now, self.wanted
             )
             if "mismatch" in self.wanted:
-                oldest, v = ring[step % WINDOW].copy(), innovation.residual
+                oldest: Any = ring[step % WINDOW].copy()
+                v: Any = innovation.residual
                 found["mismatch"], kept, ring[step % WINDOW] = fuse.mismatched(
                     kept, oldest, v, innovation.S
                 )
