@@ -150,7 +150,8 @@ class Genetic:
         """Ranks of the parents, ``(2 pairs, lanes)``, among the ``count`` best."""
         if self.selection == "tournament":
             pairs = u.reshape(self.contestants, len(u) // self.contestants, u.shape[1])
-            return _places(np.minimum.reduce(pairs) * count, count)
+            best: npt.NDArray[np.intp] = (np.minimum.reduce(pairs) * count).astype(np.intp)
+            return best
         if self.selection == "rank":
             # The density over rank / count falls on a line from s to 2 - s; its inverse distribution.
             s = self.pressure
