@@ -53,7 +53,8 @@ class FuzzyProcessNoise:
 
     Without ``sources``, that of the state's own corrections: one less the mean of their squares over
     their expectation ``P- - P+``. This needs no measurement of each state, and works for any sensor,
-    filter and time step. With ``sources``, as in the thesis: for each state component the component of
+    filter and time step; but a gain shares out what it corrects as Q says, so that a state which is
+    not measured itself, and whose Q is too large, takes up what its neighbours' lack. With ``sources``, as in the thesis: for each state component the component of
     the measurement, or the pair, whose ``DOM = S - C`` drives it, or None to leave it alone. By eq. 3-8
     ``S = H (F P F' + Q) H' + R``, so that raising Q raises S. (Printed: ``H (H P- H' + Q) H' + R``,
     whose dimensions do not fit.) A pair's DOM enters as ``cross`` says: "signed" by its square with its

@@ -38,7 +38,7 @@ def _ordered(kind: str, **corners: Any) -> None:
 
 
 @attrs.frozen(eq=False)
-class Gaussian:
+class GaussianSet:
     """``exp(-((x - centre) / width)^2)``.
 
     The width is that of the thesis: sqrt(2) standard deviations. As printed, eq. 3-10 lacks the
@@ -49,7 +49,7 @@ class Gaussian:
     Source: paper 4, eq. 3-10.
 
     Example:
-    >>> round(Gaussian(0.0, 2.0).membership(2.0), 4)
+    >>> round(GaussianSet(0.0, 2.0).membership(2.0), 4)
     0.3679
     """
 
@@ -92,14 +92,14 @@ def _rise(x: Any, low: Any, high: Any) -> Any:
 
 
 @attrs.frozen(eq=False)
-class Trapezoidal:
+class TrapezoidalSet:
     """Zero up to ``left`` and from ``right`` on, one between ``top_left`` and ``top_right``.
 
     Shapes:
         corners scalars or ``(*batch)``.
 
     Example:
-    >>> Trapezoidal(1.0, 3.0, 6.0, 8.0).membership(2.0)
+    >>> TrapezoidalSet(1.0, 3.0, 6.0, 8.0).membership(2.0)
     0.5
     """
 
@@ -125,14 +125,14 @@ class Trapezoidal:
 
 
 @attrs.frozen(eq=False)
-class Triangular:
+class TriangularSet:
     """Zero up to ``left`` and from ``right`` on, one at ``peak``.
 
     Shapes:
         corners scalars or ``(*batch)``.
 
     Example:
-    >>> Triangular(0.0, 0.0, 5.0).membership(0.0)
+    >>> TriangularSet(0.0, 0.0, 5.0).membership(0.0)
     1.0
     """
 
@@ -160,7 +160,7 @@ def _floats(values: Sequence[float]) -> tuple[float, ...]:
 
 
 @attrs.frozen
-class Sampled:
+class SampledSet:
     """Any set, by its membership at some places and straight lines between them; zero outside.
 
     Not traced: it is what other programs' sets become.
@@ -169,7 +169,7 @@ class Sampled:
         DomainError: unless there are at least two places, in order, with memberships in [0, 1].
 
     Example:
-    >>> float(Sampled((0.0, 2.0), (0.0, 1.0)).membership(1.5))
+    >>> float(SampledSet((0.0, 2.0), (0.0, 1.0)).membership(1.5))
     0.75
     """
 
@@ -203,15 +203,15 @@ class Sampled:
         return np.interp(x, self.places, self.values, left=0.0, right=0.0)
 
 
-FuzzySet = Gaussian | Triangular | Trapezoidal | Sampled
+FuzzySet = GaussianSet | TriangularSet | TrapezoidalSet | SampledSet
 """A fuzzy set of one number."""
 
-SETS: dict[str, type[Any]] = {one.kind: one for one in (Gaussian, Triangular, Trapezoidal)}
+SETS: dict[str, type[Any]] = {one.kind: one for one in (GaussianSet, TriangularSet, TrapezoidalSet)}
 """Sets that are given by a few numbers, by their name."""
 
 
 def numbers_of_set(one: FuzzySet) -> dict[str, Any]:
     """The numbers that a set is given by, by name; none for a sampled one."""
-    if isinstance(one, Sampled):
+    if isinstance(one, SampledSet):
         return {}
     return {f.name: getattr(one, f.name) for f in attrs.fields(type(one))}

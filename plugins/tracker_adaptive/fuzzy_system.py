@@ -21,7 +21,7 @@ from tracker.models import exp, less, maximum, minimum, where
 from tracker.models.graph import Graph, Node, derivative, evaluate
 from tracker.models.parameters import checked_parameters
 from tracker_adaptive.fuzzy_rules import Antecedent, Is, Rule, antecedent, claims, plain, worth
-from tracker_adaptive.fuzzy_sets import FuzzySet, Gaussian, Sampled, numbers_of_set
+from tracker_adaptive.fuzzy_sets import FuzzySet, GaussianSet, SampledSet, numbers_of_set
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _NO_STRENGTH = 1e-300
@@ -106,7 +106,7 @@ class Variable:
     def structure(self) -> tuple[Any, ...]:
         """All but the numbers."""
         kinds = tuple(
-            (t, one if isinstance(one, Sampled) else one.kind) for t, one in self.terms.items()
+            (t, one if isinstance(one, SampledSet) else one.kind) for t, one in self.terms.items()
         )
         return (self.name, kinds, self.range)
 
@@ -149,8 +149,8 @@ class FuzzySystem:
 
     Example:
     >>> system = FuzzySystem(
-    ...     inputs=Variable("x", {"low": Gaussian(0.0, 1.0), "high": Gaussian(1.0, 1.0)}),
-    ...     output=Variable("y", {"off": Gaussian(0.0, 1.0), "on": Gaussian(10.0, 1.0)}),
+    ...     inputs=Variable("x", {"low": GaussianSet(0.0, 1.0), "high": GaussianSet(1.0, 1.0)}),
+    ...     output=Variable("y", {"off": GaussianSet(0.0, 1.0), "on": GaussianSet(10.0, 1.0)}),
     ...     rules=[("x is low", "off"), ("x is high", "on")])
     >>> system(0.5), round(system(100.0), 6)
     (5.0, 10.0)
@@ -270,7 +270,7 @@ class FuzzySystem:
         return all(
             plain(rule.antecedent)
             and all(
-                isinstance(terms[c.variable][c.term], Gaussian) for c in claims(rule.antecedent)
+                isinstance(terms[c.variable][c.term], GaussianSet) for c in claims(rule.antecedent)
             )
             for rule in self.rules
         )
@@ -300,7 +300,7 @@ class FuzzySystem:
         return dict(zip(names, self._derivatives(names, inputs), strict=True))
 
     def _derivatives(self, by: Sequence[str], inputs: Sequence[Any]) -> Any:
-        if any(isinstance(one, Sampled) for v in self.inputs for one in v.terms.values()):
+        if any(isinstance(one, SampledSet) for v in self.inputs for one in v.terms.values()):
             raise CapabilityError(
                 f"fuzzy system {self.name!r} has sampled sets, which have no derivatives. "
                 "Do this: use Gaussian, triangular or trapezoidal sets."
@@ -414,7 +414,7 @@ def five_rules(
     >>> round(five_rules()(0.0), 12), round(five_rules()(50.0), 3)
     (0.0, -0.5)
     """
-    inputs = {t: Gaussian(c, w) for (t, _), c, w in zip(TERMS, centres, widths, strict=True)}
-    output = {t: Gaussian(c, w) for (_, t), c, w in zip(TERMS, outputs, output_widths, strict=True)}
+    inputs = {t: GaussianSet(c, w) for (t, _), c, w in zip(TERMS, centres, widths, strict=True)}
+    output = {t: GaussianSet(c, w) for (_, t), c, w in zip(TERMS, outputs, output_widths, strict=True)}
     rules = [Rule(Is("dom", a), b) for a, b in TERMS]
     return FuzzySystem(Variable("dom", inputs), Variable("adjustment", output), rules, name=name)

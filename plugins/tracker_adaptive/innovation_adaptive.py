@@ -96,7 +96,9 @@ class InnovationAdaptive:
     Process noise: ``Q + C - (P- - P+)`` with C the mean square of the corrections, Mohamed and
     Schwarz's estimate, is far too noisy where Q is small beside P, and not positive. Here the ratio
     of the mean square of a state's corrections to what was expected is taken to one, by as much in a
-    step as a window of steps asks for: each variance of the motion's own Q, whatever dt, is scaled.
+    step as a window of steps asks for: each variance of the motion's own Q, whatever dt, is scaled. A
+    gain shares out what it corrects as Q says, so that a state which is not measured itself, and whose
+    Q is too large, takes up what its neighbours' lack.
 
     What was not measured teaches nothing; nothing moves until a window has passed of which half
     was measured. Tuning both at once is known to be ambiguous: R explains what Q could.
