@@ -10,8 +10,9 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.errors import DomainError, wording
+from tracker.errors import DomainError, TraceError, wording
 from tracker.models.functions import sqrt
+from tracker.models.parameters import lanes_of_component
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, brief
 
@@ -82,24 +83,53 @@ class _OtherNoise:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # copying and pickling ask for these before there is a model
             raise AttributeError(name)
-        return getattr(self._model, name)
+        return _of_another(self, name)
 
     def Q(self, x: Array, dt: Any) -> Array:
         """Covariance of the process noise."""
-        return self._noise if self._name == "Q" else self._model.Q(x, dt)  # type: ignore[no-any-return]
+        own = self._name == "Q"
+        return _beside(self._noise, x) if own else self._model.Q(x, dt)  # type: ignore[no-any-return]
 
     def R(self, x: Array, pose: Any = None) -> Array:
         """Covariance of the measurement noise."""
-        return self._noise if self._name == "R" else self._model.R(x, pose)  # type: ignore[no-any-return]
+        own = self._name == "R"
+        return _beside(self._noise, x) if own else self._model.R(x, pose)  # type: ignore[no-any-return]
+
+    def lanes(self, index: Any) -> _OtherNoise:
+        """The same model cut to some lanes."""
+        noise = self._noise
+        if noise.ndim > 2 and noise.shape[-1] > 1:
+            noise = noise[..., index]
+        return attrs.evolve(self, model=lanes_of_component(self._model, index), noise=noise)
+
+
+def _of_another(model: Any, name: str) -> Any:
+    """What the model within has; if that makes another model, that one gets the other noise, too."""
+    found = getattr(model._model, name)  # noqa: SLF001 - its own
+    if name in {"with_parameters", "over", "at"}:
+        return lambda *given, **named: attrs.evolve(model, model=found(*given, **named))
+    return found
+
+
+def _beside(noise: Any, x: Any) -> Any:
+    """A covariance with as many batch axes as the state ``x``: those that are missing are shared."""
+    lead = np.ndim(x) - 1
+    if noise.ndim == 2:
+        return noise.reshape(*noise.shape, *(1,) * lead)
+    if not lead and noise.shape[2:] == (1,):
+        return noise[..., 0]
+    if x.dtype.hasobject and not lead:
+        raise TraceError("a covariance that differs between lanes was given as a matrix")
+    return noise
 
 
 def with_noise(sensor: SensorModel, R: Any) -> SensorModel:
-    """The sensor with another covariance of the measurement noise, ``(m, m, *batch)``."""
+    """The sensor with another covariance of the measurement noise, ``(m, m)`` or ``(m, m, *batch)``."""
     return _OtherNoise(sensor, "R", R)
 
 
 def with_process_noise(motion: MotionModel, Q: Any) -> MotionModel:
-    """The motion with another covariance of the process noise, ``(n, n, *batch)``, whatever dt."""
+    """The motion with another covariance of the process noise, ``(n, n)`` or ``(n, n, *batch)``, whatever dt."""
     return _OtherNoise(motion, "Q", Q)
 
 
@@ -114,7 +144,7 @@ class _ScaledNoise:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # as above
             raise AttributeError(name)
-        return getattr(self._model, name)
+        return _of_another(self, name)
 
     def Q(self, x: Array, dt: Any) -> Array:
         """Covariance of the process noise."""
@@ -125,6 +155,13 @@ class _ScaledNoise:
         """Covariance of the measurement noise."""
         own = self._model.R(x, pose)
         return _scaled(own, self._scale) if self._name == "R" else own  # type: ignore[no-any-return]
+
+    def lanes(self, index: Any) -> _ScaledNoise:
+        """The same model cut to some lanes."""
+        scale = self._scale
+        if scale.ndim > 1 and scale.shape[-1] > 1:
+            scale = scale[..., index]
+        return attrs.evolve(self, model=lanes_of_component(self._model, index), scale=scale)
 
 
 def _scaled(cov: Any, scale: Any) -> Any:

@@ -213,7 +213,8 @@ class Trials:
             members = int(getattr(self.estimator.filter, "width", 1))
             return max(1, estimation.together(n, members) // self.runs)
         width = self.record.z.shape[1] + (0 if self.truth is None else n)
-        return max(1, TILE_BYTES // (8 * len(self.record) * width * self.runs))
+        bytes_ = 8 * len(self.record) * int(width) * self.runs
+        return max(1, TILE_BYTES // bytes_)
 
     def _accepted(self, values: Array) -> tuple[Array, list[int]]:
         """The settings, with one that is accepted in place of each that some component refuses."""
