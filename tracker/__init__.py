@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tracker.montecarlo import Campaign as Campaign
     from tracker.montecarlo import load_campaign as load_campaign
     from tracker.montecarlo import monte_carlo as monte_carlo
+    from tracker.noise_estimation import expectation_maximisation as expectation_maximisation
     from tracker.optimisation import Optimisation as Optimisation
     from tracker.optimisation import load_optimisation as load_optimisation
     from tracker.optimisation import optimise as optimise
@@ -90,6 +91,7 @@ _HOME = {
     "associators": "registry",
     "default_registry": "registry",
     "estimator": "estimation",
+    "expectation_maximisation": "noise_estimation",
     "filter": "estimation",
     "filters": "registry",
     "gates": "registry",

@@ -770,6 +770,20 @@ def record_lanes(record: Record, index: Any) -> Record:
     return made
 
 
+def in_a_row(record: Record, prior: Gaussian) -> tuple[Record, Gaussian, int]:
+    """Record and prior with one batch axis, and its length."""
+    n, runs = prior.n, int(np.prod(record.batch, dtype=np.intp))
+    flat = Gaussian.trusted(prior.mean.reshape(n, runs), prior.cov.reshape(n, n, runs))
+    made = object.__new__(Record)
+    for name, lead in (("t", 1), ("z", 2), ("u", 2), ("pose", 2)):
+        value = getattr(record, name)
+        if value is not None and (value.ndim > lead or name == "z"):
+            value = value.reshape(*value.shape[:lead], runs)
+        object.__setattr__(made, name, value)
+    object.__setattr__(made, "sensor", record.sensor)
+    return made, flat, runs
+
+
 def _history_lanes(history: History, index: Any) -> History:
     """Some lanes; a slice gives views: what is written into them is written into the whole."""
 
@@ -804,6 +818,7 @@ __all__ = [
     "estimator",
     "filter",
     "fitting",
+    "in_a_row",
     "lacking",
     "missing_capabilities",
     "record_lanes",

@@ -155,9 +155,9 @@ class Trials:
         told = not ERRORS.isdisjoint(wanted)
         _check(estimator, record, truth if told else None, wanted)
         prior = estimation.fitting(estimator, record, prior, start)
-        runs = int(np.prod(record.batch, dtype=np.intp))
         self.estimator, self.places, self.start = estimator, places, start
-        self.record, self.prior, self.runs = _in_a_row(record, prior, runs)
+        self.record, self.prior, runs = estimation.in_a_row(record, prior)
+        self.runs = runs
         self.truth: Array | None = None
         if told and truth is not None:
             self.truth = np.reshape(truth, (*np.shape(truth)[:2], runs))
@@ -347,17 +347,3 @@ def _check(estimator: Estimator, record: Record, truth: Any, wanted: Collection[
             wording("argument 'truth'", got=f"shape {np.shape(truth)}",
                     expected=f"{shape}: {estimator.motion.space}", do="give the state at every row")
         )  # fmt: skip
-
-
-def _in_a_row(record: Record, prior: Gaussian, runs: int) -> tuple[Record, Gaussian, int]:
-    """Record and prior with one batch axis, and its length."""
-    n = prior.n
-    flat = Gaussian.trusted(prior.mean.reshape(n, runs), prior.cov.reshape(n, n, runs))
-    made = object.__new__(Record)
-    for name, lead in (("t", 1), ("z", 2), ("u", 2), ("pose", 2)):
-        value = getattr(record, name)
-        if value is not None and (value.ndim > lead or name == "z"):
-            value = value.reshape(*value.shape[:lead], runs)
-        object.__setattr__(made, name, value)
-    object.__setattr__(made, "sensor", record.sensor)
-    return made, flat, runs
