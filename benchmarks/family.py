@@ -33,6 +33,7 @@ from targets import Verdict
 import tracker as tk
 from tracker.compile import run
 from tracker_motion import constant_velocity, switching
+from tracker_sensors import position
 
 FAMILY: dict[str, tuple[str, dict[str, Any], str | None]] = {
     "ekf1": ("ekf1", {}, None),
@@ -59,6 +60,16 @@ WANTED = {
     "imm of three models": 8.0,
 }
 DYNAMAX_UKF, PARTICLES_US = 25.0, 80.0
+THEIRS = {
+    "filterpy ekf": "ekf1",
+    "filterpy ukf": "ukf",
+    "filterpy imm, positions": "imm, positions",
+    "Stone Soup ekf": "ekf1",
+    "Stone Soup ukf": "ukf",
+}
+NEAR = {"Stone Soup ekf": 1e-4, "Stone Soup ukf": 2e-2}
+DENSITIES = (0.01, 0.1, 1.0)
+SWITCHING = 0.9 * np.eye(3) + 0.05 * (1.0 - np.eye(3))
 
 
 def family() -> None:
@@ -77,16 +88,15 @@ def family() -> None:
             ),
             simulation,
         )
-    stay = 0.9
-    motion = switching(
-        [constant_velocity(density) for density in (0.01, 0.1, 1.0)],
-        stay * np.eye(3) + (1.0 - stay) / 2.0 * (1.0 - np.eye(3)),
-    )
+    motion = switching([constant_velocity(density) for density in DENSITIES], SWITCHING)
     works["imm of three models"] = _scored(
         tk.estimator("imm", motion=motion, sensor=scene.sensor), simulation
     )
-    per = dict.fromkeys(works, RUNS * STEPS)
     theirs, counts = _peers(scene, simulation)
+    works["imm, positions"], more = _positions(motion)
+    theirs |= more
+    counts |= dict.fromkeys(more, STEPS)
+    per = dict.fromkeys(works, RUNS * STEPS)
     seconds = measure.interleaved(works | theirs)
     report(seconds, per | counts, NANO, "ns a step and run")
 
@@ -97,10 +107,12 @@ def family() -> None:
     if "dynamax ukf, vmap" in theirs:
         found = _times(seconds, "dynamax ukf, vmap", "ukf")
         verdicts.append(Verdict("dynamax ukf, vmap / ukf", found, DYNAMAX_UKF, at_least=True))
-    for label, ours in (("filterpy ukf", "ukf"), ("filterpy ekf", "ekf1")):
-        if label in theirs:
-            found = measure.ratio(seconds[label], seconds[ours]) * RUNS
-            print(f"  {label}, one run / {ours}: {found:,.0f} times")
+    ratios = [
+        (f"{label}, one run / {ours}", f"{_times(seconds, label, ours) * RUNS:,.0f}")
+        for label, ours in THEIRS.items()
+        if label in theirs
+    ]
+    table("Beside others", ("", "times"), ratios)
     verdicts += _particles()
     rows = [verdict.cells() for verdict in verdicts]
     table("Verdicts", ("", "found", "wanted", ""), rows)
@@ -136,10 +148,13 @@ def _peers(scene: Any, simulation: Any) -> tuple[dict[str, Callable[[], Any]], d
     for label, make, ours in (
         ("filterpy ekf", peers.filterpy_ekf, "ekf1"),
         ("filterpy ukf", peers.filterpy_ukf, "ukf"),
+        ("Stone Soup ekf", peers.stonesoup_ekf, "ekf1"),
+        ("Stone Soup ukf", peers.stonesoup_ukf, "ukf"),
     ):
         made = optional(label, functools.partial(make, z, mean, cov, **problem))
         if made is not None:
-            agreed(label, history[ours][..., 0], made())
+            # Stone Soup differentiates by differences, and its state order has other roots.
+            agreed(label, history[ours][..., 0], made(), NEAR.get(label, 1e-9))
             works[label], counts[label] = made, STEPS
     lanes_first = (
         np.moveaxis(simulation.record.z, -1, 0),
@@ -155,6 +170,31 @@ def _peers(scene: Any, simulation: Any) -> tuple[dict[str, Callable[[], Any]], d
         agreed(f"dynamax ukf, {near.sum()} of {len(near)} runs", ours[near], found[near], 1e-3)
         works["dynamax ukf, vmap"], counts["dynamax ukf, vmap"] = made, RUNS * STEPS
     return works, counts
+
+
+def _positions(motion: Any) -> tuple[Callable[[], Any], dict[str, Callable[[], Any]]]:
+    """Interacting models on measured positions, which filterpy has too."""
+    scene = tk.Scenario(
+        name="positions",
+        motion=motion,
+        truth_motion=constant_velocity(0.1),
+        sensor=position(0.1),
+        prior=tk.Gaussian([0.0, 0.0, 1.0, 0.0], np.diag([0.1, 0.1, 1.0, 1.0])),
+        t=PROBLEM["dt"] * np.arange(1, STEPS + 1),
+    )
+    simulation = scene.simulate(SEED, RUNS)
+    estimator = tk.estimator("imm", motion=motion, sensor=scene.sensor)
+    z, mean, cov = one_run(simulation)
+    problem = {"densities": DENSITIES, "transition_matrix": SWITCHING, "sigma": 0.1}
+    label = "filterpy imm, positions"
+    peer = optional(label, lambda: peers.filterpy_imm(z, mean, cov, dt=PROBLEM["dt"], **problem))
+    if peer is None:
+        return _scored(estimator, simulation), {}
+    record = tk.Record(simulation.record.t, z)
+    prior = tk.Gaussian(mean, cov)
+    ours = tk.filter(estimator, record, prior, start=simulation.start).filtered.mean
+    agreed(label, ours, peer())
+    return _scored(estimator, simulation), {label: peer}
 
 
 def _particles() -> list[Verdict]:

@@ -109,10 +109,67 @@ def filterpy_smoother(
     return filtered, smoothed
 
 
-def stonesoup_ekf(
-    z: Any, x0: Any, P0: Any, *, stations: Any, dt: float, density: float, sigma: float
+def filterpy_imm(
+    z: Any, x0: Any, P0: Any, *, densities: Any, transition_matrix: Any, dt: float, sigma: float
 ) -> Run:
+    """filterpy: IMMEstimator of Kalman filters on measured positions, equally likely at first."""
+    from filterpy.kalman import IMMEstimator, KalmanFilter
+
+    def run() -> Any:
+        modes = []
+        for density in densities:
+            kf = KalmanFilter(dim_x=4, dim_z=2)
+            kf.x, kf.P = np.array(x0), np.array(P0)
+            kf.F, kf.Q = transition(dt), white_acceleration(dt, density)
+            kf.H, kf.R = np.eye(2, 4), sigma**2 * np.eye(2)
+            modes.append(kf)
+        imm = IMMEstimator(modes, np.full(len(modes), 1.0 / len(modes)), transition_matrix)
+        means = np.empty((len(z), 4))
+        for k in range(len(z)):
+            imm.predict()
+            imm.update(z[k])
+            means[k] = imm.x
+        return means
+
+    return run
+
+
+def stonesoup_ukf(z: Any, x0: Any, P0: Any, **problem: Any) -> Run:
+    """Stone Soup's unscented predictor and updater, alpha 1, beta 2, kappa 0, on its stock models."""
+    from stonesoup.predictor.kalman import UnscentedKalmanPredictor
+    from stonesoup.updater.kalman import UnscentedKalmanUpdater
+
+    points = {"alpha": 1.0, "beta": 2.0, "kappa": 0.0}
+    return _stonesoup(
+        z,
+        x0,
+        P0,
+        lambda motion: UnscentedKalmanPredictor(motion, **points),
+        lambda bearing: UnscentedKalmanUpdater(bearing, **points),
+        **problem,
+    )
+
+
+def stonesoup_ekf(z: Any, x0: Any, P0: Any, **problem: Any) -> Run:
     """Stone Soup's stock models, predictor and updater; derivatives are its own differences."""
+    from stonesoup.predictor.kalman import ExtendedKalmanPredictor
+    from stonesoup.updater.kalman import ExtendedKalmanUpdater
+
+    return _stonesoup(z, x0, P0, ExtendedKalmanPredictor, ExtendedKalmanUpdater, **problem)
+
+
+def _stonesoup(
+    z: Any,
+    x0: Any,
+    P0: Any,
+    made_predictor: Callable[[Any], Any],
+    made_updater: Callable[[Any], Any],
+    *,
+    stations: Any,
+    dt: float,
+    density: float,
+    sigma: float,
+) -> Run:
     from stonesoup.models.measurement.nonlinear import (
         Cartesian2DToBearing,
         CombinedReversibleGaussianMeasurementModel,
@@ -121,13 +178,11 @@ def stonesoup_ekf(
         CombinedLinearGaussianTransitionModel,
         ConstantVelocity,
     )
-    from stonesoup.predictor.kalman import ExtendedKalmanPredictor
     from stonesoup.types.angle import Bearing
     from stonesoup.types.array import StateVector
     from stonesoup.types.detection import Detection
     from stonesoup.types.hypothesis import SingleHypothesis
     from stonesoup.types.state import GaussianState
-    from stonesoup.updater.kalman import ExtendedKalmanUpdater
 
     order = [0, 2, 1, 3]  # x, vx, y, vy: Stone Soup's order and, being a swap, the way back
     motion = CombinedLinearGaussianTransitionModel([ConstantVelocity(density)] * 2)
@@ -142,7 +197,7 @@ def stonesoup_ekf(
             for sx, sy in stations
         ]
     )
-    predictor, updater = ExtendedKalmanPredictor(motion), ExtendedKalmanUpdater(bearing)
+    predictor, updater = made_predictor(motion), made_updater(bearing)
     start, step = datetime(2000, 1, 1, tzinfo=UTC), timedelta(seconds=dt)
     detections = [
         Detection(
