@@ -16,7 +16,12 @@ from tracker.errors import DomainError, wording
 from tracker.models.parameters import one_of
 from tracker.types import Array
 from tracker_adaptive.fuzzy_rules import Is, worth
-from tracker_adaptive.fuzzy_sets import FuzzySet, GaussianSet, SampledSet, TrapezoidalSet, TriangularSet
+from tracker_adaptive.fuzzy_sets import (
+    FuzzySet,
+    GaussianSet,
+    SampledSet,
+    TriangularSet,
+)
 from tracker_adaptive.fuzzy_system import FuzzySystem
 
 GAUSSIAN_PIECES = 200
@@ -92,7 +97,8 @@ class Union:
 
 
 def _ratio(a: Any, b: Any) -> Array:
-    return np.divide(a, b, out=np.full(np.shape(b), np.nan), where=np.asarray(b) > 0)
+    found = np.divide(a, b, out=np.full(np.shape(b), np.nan), where=np.asarray(b) > 0)
+    return np.asarray(found)
 
 
 def _corners(one: FuzzySet, low: float, high: float) -> list[float]:
@@ -100,7 +106,7 @@ def _corners(one: FuzzySet, low: float, high: float) -> list[float]:
     if isinstance(one, SampledSet):
         return list(one.places)
     if isinstance(one, GaussianSet):
-        return np.linspace(low, high, GAUSSIAN_PIECES + 1).tolist()
+        return [float(v) for v in np.linspace(low, high, GAUSSIAN_PIECES + 1)]
     if isinstance(one, TriangularSet):
         return [one.left, one.peak, one.right]
     return [one.left, one.top_left, one.top_right, one.right]
@@ -186,7 +192,10 @@ def union_of(system: FuzzySystem, *inputs: Any) -> Union:
         np.minimum(start[:, :, None] + slope[:, :, None] * parts, cap[:, None]), axis=0
     )
     heights = np.maximum(heights, 0.0)
-    at = a.reshape(-1, *(1,) * (parts.ndim - 1)) + (b - a).reshape(-1, *(1,) * (parts.ndim - 1)) * parts
+    at = (
+        a.reshape(-1, *(1,) * (parts.ndim - 1))
+        + (b - a).reshape(-1, *(1,) * (parts.ndim - 1)) * parts
+    )
 
     def pairs(values: Array) -> Array:
         both = np.stack([values[:, :-1], values[:, 1:]], axis=2)

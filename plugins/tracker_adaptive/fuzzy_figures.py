@@ -66,7 +66,9 @@ def membership_figure(system: FuzzySystem) -> Figure:
         return figure
 
 
-def _label(axis: Any, term: str, low: float, high: float, x: Any, y: Any, middle: Any, colour: str) -> None:
+def _label(
+    axis: Any, term: str, low: float, high: float, x: Any, y: Any, middle: Any, colour: str
+) -> None:
     """The name of a term above its top, where it is within the picture."""
     at = min(max(float(middle), low), high)
     edge = 0.03 * (high - low)

@@ -11,12 +11,11 @@ import numpy as np
 
 from tracker.adaptation import untuned, with_scaled_noise
 from tracker.models import isnan, maximum, where
-from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Step
-from tracker_adaptive.fuzzy_system import FuzzySystem, five_rules
+from tracker_adaptive.fuzzy_system import FuzzySystem
 from tracker_adaptive.mismatch import Squares, diagonal_of
-from tracker_adaptive.settings import between, chosen, fuzzy_numbers, replaced, systems
+from tracker_adaptive.settings import between, chosen, fuzzy_numbers, replaced, systems, unit_name
 from tracker_kalman.inner import at_least
 
 OWN = ("scale", "floor")
@@ -61,15 +60,11 @@ class FuzzyMeasurementNoise:
     Laws: those of kind "adapter".
     """
 
-    system: tuple[FuzzySystem, ...] = attrs.field(
-        default=None, converter=lambda v: systems(five_rules() if v is None else v)
-    )
+    system: tuple[FuzzySystem, ...] = attrs.field(default=None, converter=systems)
     scale: Any = attrs.field(default=0.125, validator=between(0.0, np.inf, OWNER))
     window: int = attrs.field(default=25, validator=at_least(1, OWNER))
     floor: Any = attrs.field(default=1e-3, validator=between(0.0, np.inf, OWNER))
-    unit: str = attrs.field(
-        default="given", converter=lambda v: one_of("unit", v, ("given", "present"))
-    )
+    unit: str = attrs.field(default="given", converter=unit_name)
 
     tunes = ("R",)
 

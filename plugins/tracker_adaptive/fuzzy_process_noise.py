@@ -16,16 +16,20 @@ from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Step
 from tracker_adaptive.fuzzy_measurement_noise import Scaled
-from tracker_adaptive.fuzzy_system import FuzzySystem, five_rules
+from tracker_adaptive.fuzzy_system import FuzzySystem
 from tracker_adaptive.innovation_adaptive import HIGHEST
 from tracker_adaptive.mismatch import Squares, corrections, diagonal_of
-from tracker_adaptive.settings import between, chosen, fuzzy_numbers, replaced, systems
+from tracker_adaptive.settings import between, chosen, fuzzy_numbers, replaced, systems, unit_name
 from tracker_kalman.inner import at_least
 
 OWN = ("scale", "floor")
 OWNER = "adapter 'fuzzy_process_noise'"
 
 Source = tuple[str, str] | None
+
+
+def _cross(value: str) -> str:
+    return one_of("cross", value, ("signed", "plain", "squared"))
 
 
 def _sources(value: Iterable[Any] | None) -> tuple[Source, ...] | None:
@@ -86,19 +90,13 @@ class FuzzyProcessNoise:
     Laws: those of kind "adapter".
     """
 
-    system: tuple[FuzzySystem, ...] = attrs.field(
-        default=None, converter=lambda v: systems(five_rules() if v is None else v)
-    )
+    system: tuple[FuzzySystem, ...] = attrs.field(default=None, converter=systems)
     scale: Any = attrs.field(default=0.125, validator=between(0.0, np.inf, OWNER))
     window: int = attrs.field(default=25, validator=at_least(1, OWNER))
     floor: Any = attrs.field(default=1e-3, validator=between(0.0, np.inf, OWNER))
     sources: tuple[Source, ...] | None = attrs.field(default=None, converter=_sources)
-    cross: str = attrs.field(
-        default="signed", converter=lambda v: one_of("cross", v, ("signed", "plain", "squared"))
-    )
-    unit: str = attrs.field(
-        default="given", converter=lambda v: one_of("unit", v, ("given", "present"))
-    )
+    cross: str = attrs.field(default="signed", converter=_cross)
+    unit: str = attrs.field(default="given", converter=unit_name)
 
     tunes = ("Q",)
 
@@ -130,7 +128,7 @@ class FuzzyProcessNoise:
             found, expected = corrections(step, motion.space.circular)
             squares = memory.squares.after(found / expected)
             known, usable = 1.0 - squares.mean, squares.trusted
-            pairs = list(range(len(memory.scale)))
+            pairs: list[int | None] = list(range(len(memory.scale)))
         else:
             squares, known, usable, found, pairs = self._measured(memory, step, sensor)
         own = diagonal_of(untuned(motion).Q(step.predicted.mean, step.dt))

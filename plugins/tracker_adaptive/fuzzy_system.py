@@ -28,7 +28,7 @@ _NO_STRENGTH = 1e-300
 """Below this sum of strengths no rule applies."""
 
 
-def _named(name: str, what: str) -> None:
+def _named(name: Any, what: str) -> None:
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name in {"is", "and", "or", "not"}:
         raise DomainError(
             wording(
@@ -415,6 +415,8 @@ def five_rules(
     (0.0, -0.5)
     """
     inputs = {t: GaussianSet(c, w) for (t, _), c, w in zip(TERMS, centres, widths, strict=True)}
-    output = {t: GaussianSet(c, w) for (_, t), c, w in zip(TERMS, outputs, output_widths, strict=True)}
+    output = {
+        t: GaussianSet(c, w) for (_, t), c, w in zip(TERMS, outputs, output_widths, strict=True)
+    }
     rules = [Rule(Is("dom", a), b) for a, b in TERMS]
-    return FuzzySystem(Variable("dom", inputs), Variable("adjustment", output), rules, name=name)
+    return FuzzySystem((Variable("dom", inputs),), Variable("adjustment", output), rules, name=name)

@@ -24,6 +24,10 @@ HIGHEST = 1e6
 """The most that process noise is scaled by."""
 
 
+def _estimate(value: str) -> str:
+    return one_of("estimate", value, ("residual", "innovation"))
+
+
 def noises(value: str | Iterable[str]) -> tuple[str, ...]:
     """Which noise an adapter tunes, in the order R, Q.
 
@@ -118,9 +122,7 @@ class InnovationAdaptive:
     """
 
     window: int = attrs.field(default=25, validator=at_least(1, OWNER))
-    estimate: str = attrs.field(
-        default="residual", converter=lambda v: one_of("estimate", v, ("residual", "innovation"))
-    )
+    estimate: str = attrs.field(default="residual", converter=_estimate)
     tunes: tuple[str, ...] = attrs.field(default=("R",), converter=noises)
     floor: Any = attrs.field(
         default=1e-6, validator=between(0.0, np.inf, OWNER), metadata=PARAMETER

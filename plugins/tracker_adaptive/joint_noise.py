@@ -15,24 +15,29 @@ from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Step
 
 
-def _adapter(what: str) -> Any:
-    def convert(value: Any) -> Any:
-        if isinstance(value, str):
-            from tracker.registry import default_registry
+def _adapter(value: Any, what: str) -> Any:
+    if isinstance(value, str):
+        from tracker.registry import default_registry
 
-            value = default_registry().get("adapter", value).make()
-        if tuple(getattr(value, "tunes", ())) != (what,):
-            raise DomainError(
-                wording(
-                    "adapter 'joint_noise'",
-                    got=f"{type(value).__name__}, which tunes {getattr(value, 'tunes', 'nothing')}",
-                    expected=f"an adapter that tunes {what!r} alone",
-                    do="pass another, or use it by itself",
-                )
+        value = default_registry().get("adapter", value).make()
+    if tuple(getattr(value, "tunes", ())) != (what,):
+        raise DomainError(
+            wording(
+                "adapter 'joint_noise'",
+                got=f"{type(value).__name__}, which tunes {getattr(value, 'tunes', 'nothing')}",
+                expected=f"an adapter that tunes {what!r} alone",
+                do="pass another, or use it by itself",
             )
-        return value
+        )
+    return value
 
-    return convert
+
+def _of_measurements(value: Any) -> Any:
+    return _adapter(value, "R")
+
+
+def _of_motion(value: Any) -> Any:
+    return _adapter(value, "Q")
 
 
 @attrs.frozen(eq=False)
@@ -61,8 +66,8 @@ class JointNoise:
     Laws: those of kind "adapter".
     """
 
-    measurement: Any = attrs.field(default="fuzzy_measurement_noise", converter=_adapter("R"))
-    process: Any = attrs.field(default="fuzzy_process_noise", converter=_adapter("Q"))
+    measurement: Any = attrs.field(default="fuzzy_measurement_noise", converter=_of_measurements)
+    process: Any = attrs.field(default="fuzzy_process_noise", converter=_of_motion)
 
     tunes = ("R", "Q")
 

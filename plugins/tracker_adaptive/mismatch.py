@@ -139,7 +139,7 @@ class Mismatch:
 
     @property
     def _diagonal(self) -> Array:
-        return np.einsum("kii...->ki...", self.dom)
+        return np.asarray(np.einsum("kii...->ki...", self.dom))
 
 
 def degree_of_mismatch(innovation: Innovation, window: int = 25) -> Mismatch:

@@ -106,7 +106,9 @@ def _variables(table: Table, key: str) -> tuple[Variable, ...]:
 
 def _set(terms: Table, term: str) -> FuzzySet:
     known = (*SETS, "sampled")
-    one = terms.table(term, expected=f"a set of kind {', '.join(known)}: {{ gaussian = [0.0, 1.0] }}")
+    one = terms.table(
+        term, expected=f"a set of kind {', '.join(known)}: {{ gaussian = [0.0, 1.0] }}"
+    )
     if len(one.values) != 1:
         raise terms.error(
             term,

@@ -117,12 +117,22 @@ def _variable(one: Any) -> Variable:
 
 def _set(x: Any, y: Any) -> FuzzySet:
     """A sampled set, or the triangle or trapezium that it is on its samples."""
-    bends = [0, *(np.flatnonzero(np.abs(np.diff(np.diff(y) / np.diff(x))) > 1e-9) + 1).tolist(), len(x) - 1]
+    bends = [
+        0,
+        *(np.flatnonzero(np.abs(np.diff(np.diff(y) / np.diff(x))) > 1e-9) + 1).tolist(),
+        len(x) - 1,
+    ]
     places, values = x[bends], y[bends]
     inside = [float(p) for p, v in zip(places, values, strict=True) if v > 1.0 - 1e-12]
     if inside and len(places) <= 5:
-        left = places[np.flatnonzero(places <= inside[0])[-1] - 1] if inside[0] > x[0] else inside[0]
-        right = places[np.flatnonzero(places >= inside[-1])[0] + 1] if inside[-1] < x[-1] else inside[-1]
+        left = (
+            places[np.flatnonzero(places <= inside[0])[-1] - 1] if inside[0] > x[0] else inside[0]
+        )
+        right = (
+            places[np.flatnonzero(places >= inside[-1])[0] + 1]
+            if inside[-1] < x[-1]
+            else inside[-1]
+        )
         corners = float(left), inside[0], inside[-1], float(right)
         made: Any = (
             TriangularSet(corners[0], corners[1], corners[3])

@@ -10,8 +10,8 @@ import numpy as np
 
 from tracker.errors import DomainError, wording
 from tracker.models.graph import Node
-from tracker.models.parameters import checked_parameters
-from tracker_adaptive.fuzzy_system import FuzzySystem
+from tracker.models.parameters import checked_parameters, one_of
+from tracker_adaptive.fuzzy_system import FuzzySystem, five_rules
 
 
 def between(low: float, high: float, owner: str, *, closed: bool = False) -> Any:
@@ -49,13 +49,14 @@ def between(low: float, high: float, owner: str, *, closed: bool = False) -> Any
     return check
 
 
-def systems(value: FuzzySystem | Sequence[FuzzySystem]) -> tuple[FuzzySystem, ...]:
-    """One system for all entries, or one for each.
+def systems(value: Any) -> tuple[FuzzySystem, ...]:
+    """One system for all entries, or one for each; the five rules by hand for None.
 
     Raises:
         DomainError: if there is none, or one has not exactly one input.
     """
-    found = (value,) if isinstance(value, FuzzySystem) else tuple(value)
+    given = five_rules() if value is None else value
+    found = (given,) if isinstance(given, FuzzySystem) else tuple(given)
     if not found or any(not isinstance(f, FuzzySystem) or len(f.inputs) != 1 for f in found):
         raise DomainError(
             wording(
@@ -66,6 +67,11 @@ def systems(value: FuzzySystem | Sequence[FuzzySystem]) -> tuple[FuzzySystem, ..
             )
         )
     return found
+
+
+def unit_name(value: str) -> str:
+    """In what a step is measured: the "given" variance, or the "present" one."""
+    return one_of("unit", value, ("given", "present"))
 
 
 def chosen(found: Sequence[FuzzySystem], entries: int, what: str) -> list[FuzzySystem]:

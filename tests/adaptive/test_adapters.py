@@ -101,7 +101,9 @@ def test_adapters_of_r_are_their_equations(adapter, change):
     found = np.einsum("kiib->ki", history.innovation.S) - np.einsum(
         "kiib->ki", history.predicted.cov[:, :2, :2]
     )
-    np.testing.assert_allclose(found[1:], R[:-1], rtol=1e-6)  # the printed ratio is one of subnormal numbers
+    np.testing.assert_allclose(
+        found[1:], R[:-1], rtol=1e-6
+    )  # the printed ratio is one of subnormal numbers
     np.testing.assert_allclose(found[:25], np.tile(R0, (25, 1)))  # nothing before k = 25
     assert abs(found[25] - R0).max() > 0.01
 
@@ -155,7 +157,10 @@ def test_the_example_of_process_noise():
         thesis.rmse(thesis.filtered(z, true, R), truth), [0.92, 1.55, 2.10], rtol=0.1
     )
     sources = ["z1", "z2", ("z1", "z2")]
-    for adapter in (FuzzyProcessNoise(sources=sources), FuzzyProcessNoise(sources=sources, cross="plain")):
+    for adapter in (
+        FuzzyProcessNoise(sources=sources),
+        FuzzyProcessNoise(sources=sources, cross="plain"),
+    ):
         found = thesis.rmse(thesis.filtered(z, given, R, adapter), truth)
         assert (found < 0.92 * plain).all()
 
@@ -196,7 +201,10 @@ def driven(cross, sign):
     z = 6.0 * rng.standard_normal((60, 1)) * np.array([1.0, sign]) + rng.standard_normal((60, 2))
     adapter = FuzzyProcessNoise(sources=[None, None, ("z1", "z2")], cross=cross)
     est = tk.estimator(
-        "kf", motion=thesis.motion((0.1, 0.1, 5.0)), sensor=thesis.sensor((1.0, 1.0)), adapter=adapter
+        "kf",
+        motion=thesis.motion((0.1, 0.1, 5.0)),
+        sensor=thesis.sensor((1.0, 1.0)),
+        adapter=adapter,
     )
     state = est.begin(thesis.PRIOR)
     for row in z:
@@ -246,7 +254,9 @@ def test_the_true_noise_is_found_from_any_start(name, factor):
 
 
 @pytest.mark.parametrize("factor", [1e-2, 1e2])
-@pytest.mark.parametrize("adapter", [SageHusa(tunes="Q"), InnovationAdaptive(tunes="Q"), FuzzyProcessNoise()])
+@pytest.mark.parametrize(
+    "adapter", [SageHusa(tunes="Q"), InnovationAdaptive(tunes="Q"), FuzzyProcessNoise()]
+)
 def test_process_noise_moves_towards_the_truth(adapter, factor):
     # 60 lanes: the standard error of the mean logarithm is below 0.1; far less than asked for.
     rng = np.random.default_rng(6)
@@ -272,7 +282,7 @@ def test_a_gross_outlier_leaves_no_trace_in_the_window():
     squares = Squares.of(5, 1, ())
     for k in range(30):
         squares = squares.after(np.array([1e30 if k == 7 else 1.0]))
-        if 12 <= k:
+        if k >= 12:
             # One window later the sum is begun anew: what 1e30 rounded away is back.
             lost = squares.mean[0] != 1.0
             assert not lost or k < 15
@@ -306,7 +316,9 @@ def test_scaled_noise_keeps_correlations_and_dependence_on_dt():
         np.testing.assert_allclose(found, np.sqrt(np.outer(scale, scale)) * own)
         assert np.linalg.eigvalsh(found).min() >= -1e-15
     assert not with_scaled_process_noise(motion, scale).Q(x, 0.0).any()
-    lanes = with_scaled_process_noise(motion, scale[:, None] * np.ones((1, 3))).Q(np.zeros((4, 3)), 0.5)
+    lanes = with_scaled_process_noise(motion, scale[:, None] * np.ones((1, 3))).Q(
+        np.zeros((4, 3)), 0.5
+    )
     np.testing.assert_allclose(lanes[..., 1], with_scaled_process_noise(motion, scale).Q(x, 0.5))
 
 
@@ -315,7 +327,10 @@ def test_a_tuned_model_knows_what_it_was():
     for tuned in (with_noise(sensor, 3 * np.eye(2)), with_scaled_noise(sensor, np.ones(2))):
         assert untuned(tuned) is sensor
         assert tuned.space is sensor.space
-    for tuned in (with_process_noise(motion, np.eye(4)), with_scaled_process_noise(motion, np.ones(4))):
+    for tuned in (
+        with_process_noise(motion, np.eye(4)),
+        with_scaled_process_noise(motion, np.ones(4)),
+    ):
         assert untuned(tuned) is motion
     assert untuned(sensor) is sensor
     np.testing.assert_allclose(
@@ -410,7 +425,8 @@ def test_every_number_of_the_fuzzy_systems_may_differ_per_lane(monkeypatch):
     base = FuzzyMeasurementNoise(system=[five_rules(), five_rules()])
     assert len(base.parameters) == 2 + 2 * 15  # scale, floor; centres and widths in, centres out
     numbers = {
-        name: value * rng.uniform(0.8, 1.2, lanes) + (0.01 * rng.random(lanes) if "M_" in name else 0.0)
+        name: value * rng.uniform(0.8, 1.2, lanes)
+        + (0.01 * rng.random(lanes) if "M_" in name else 0.0)
         for name, value in base.parameters.items()
     }
     est, record, prior, _ = bearings(lanes, adapter=base.with_parameters(**numbers))
@@ -420,7 +436,10 @@ def test_every_number_of_the_fuzzy_systems_may_differ_per_lane(monkeypatch):
         alone = attrs.evolve(est, adapter=one)
         part = tk.filter(alone, record, prior).filtered.mean[..., lane]
         np.testing.assert_allclose(part, whole.filtered.mean[..., lane], rtol=1e-8, atol=1e-11)
-    keys = {run._layout(attrs.evolve(est, adapter=base.with_parameters(scale=s)), {}, 0, ()) for s in (0.1, 0.2)}
+    keys = {
+        run._layout(attrs.evolve(est, adapter=base.with_parameters(scale=s)), {}, 0, ())
+        for s in (0.1, 0.2)
+    }
     assert len(keys) == 1  # another number is no other program
 
 
@@ -441,7 +460,9 @@ def test_each_sensor_finds_its_own_noise(adapter):
     found = []
     for memory, sensor in zip(state.memories, est.sensors, strict=True):
         tuned = est.adapter.tuned(memory, est.motion, sensor)[1]
-        found.append(np.sqrt(np.einsum("iib->ib", np.asarray(tuned.R(np.zeros((4, lanes))))).mean()))
+        found.append(
+            np.sqrt(np.einsum("iib->ib", np.asarray(tuned.R(np.zeros((4, lanes))))).mean())
+        )
     # Fuzzy R is slow from one to nine, by its unit of an eighth; the order is what counts here.
     assert found[0] < 0.6
     assert found[1] > 1.8
@@ -463,7 +484,7 @@ def test_numbers_that_cannot_be_are_refused_in_words():
         SageHusa(forgetting=1.0)
     with pytest.raises(DomainError, match="tunes"):
         JointNoise(measurement="fuzzy_process_noise")
-    with pytest.raises(DomainError, match="did not|names among|dom_"):
+    with pytest.raises(DomainError, match="names among"):
         FuzzyMeasurementNoise().with_parameters(scales=1.0)
     with pytest.raises(DomainError, match="expected one, or 2"):
         bearings(adapter=FuzzyMeasurementNoise(system=[five_rules()] * 3))[0].begin(bearings()[2])

@@ -57,7 +57,9 @@ def test_the_tipping_controller_is_that_of_another_program():
     # To the error of its 501 samples, where bends lie between them; else exactly.
     found = clipped(tipping(), *INPUTS)
     np.testing.assert_allclose(found, REFERENCE["tipping"]["tip_501pt_universe"], atol=3e-5)
-    np.testing.assert_allclose(found[1:6], REFERENCE["tipping"]["tip_501pt_universe"][1:6], atol=1e-12)
+    np.testing.assert_allclose(
+        found[1:6], REFERENCE["tipping"]["tip_501pt_universe"][1:6], atol=1e-12
+    )
     halves = clipped(tipping(), *INPUTS, reading="bisector")
     np.testing.assert_allclose(halves, REFERENCE["tipping"]["tip_bisector_501"], atol=2e-5)
 
@@ -105,7 +107,10 @@ def test_exact_integration_is_the_limit_of_sampling(seed):
     )
     levels = rng.uniform(0.05, 1.0, 4)
     x = np.linspace(-5, 5, 200_001)
-    heights = np.max([np.minimum(t.membership(x), h) for t, h in zip(terms.values(), levels, strict=True)], axis=0)
+    heights = np.max(
+        [np.minimum(t.membership(x), h) for t, h in zip(terms.values(), levels, strict=True)],
+        axis=0,
+    )
     sampled = np.trapezoid(x * heights, x) / np.trapezoid(heights, x)
     assert clipped(system, *levels) == pytest.approx(sampled, abs=2e-4)
 
@@ -167,7 +172,10 @@ def test_what_was_made_there_is_read():
     x = control.Antecedent(np.linspace(0, 10, 1001), "x")
     y = control.Consequent(np.linspace(0, 1, 1001), "y")
     x["low"], x["high"] = skfuzzy.zmf(x.universe, 2, 6), skfuzzy.smf(x.universe, 4, 9)
-    y["off"], y["on"] = skfuzzy.trimf(y.universe, [0, 0, 0.6]), skfuzzy.gaussmf(y.universe, 0.8, 0.1)
+    y["off"], y["on"] = (
+        skfuzzy.trimf(y.universe, [0, 0, 0.6]),
+        skfuzzy.gaussmf(y.universe, 0.8, 0.1),
+    )
     system = control.ControlSystem(
         [control.Rule(x["low"] & ~x["high"], y["off"]), control.Rule(x["high"], y["on"])]
     )

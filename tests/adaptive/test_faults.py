@@ -76,7 +76,13 @@ def problem(kind, fault, wrong=1.0):
         sigma = spread * np.sqrt(wrong)
         sensor = stack([azimuth(sigma).at(sx=x, sy=y) for x, y in places])
     z = z.T[..., None] + spread * rng.standard_normal((STEPS, 2, LANES))
-    return constant_velocity(density=1e-3), sensor, Record(t, faulty(fault, z, spread, rng)), prior, path
+    return (
+        constant_velocity(density=1e-3),
+        sensor,
+        Record(t, faulty(fault, z, spread, rng)),
+        prior,
+        path,
+    )
 
 
 def sound(history):
@@ -130,7 +136,12 @@ def test_a_person_is_told_of_a_noise_that_nobody_adapts():
 
 
 def test_a_sensor_that_doubles_its_noise_is_trusted_less():
-    for adapter in ("fuzzy_measurement_noise", "innovation_adaptive", "innovation_matching", "sage_husa"):
+    for adapter in (
+        "fuzzy_measurement_noise",
+        "innovation_adaptive",
+        "innovation_matching",
+        "sage_husa",
+    ):
         motion, sensor, record, prior, _ = problem("linear", "noise doubles")
         est = tk.estimator("ekf1", motion=motion, sensor=sensor, adapter=adapter)
         S = tk.filter(est, record, prior).innovation.S

@@ -198,7 +198,9 @@ def test_rules_read_and_write_alike(text, back):
     assert antecedent(back) == antecedent(text)
 
 
-@pytest.mark.parametrize("text", ["", "a", "a is", "a is b and", "a is b c is d", "(a is b", "a = b", "and is b"])
+@pytest.mark.parametrize(
+    "text", ["", "a", "a is", "a is b and", "a is b c is d", "(a is b", "a = b", "and is b"]
+)
 def test_what_is_no_rule_is_refused_in_words(text):
     with pytest.raises(DomainError, match="expected"):
         antecedent(text)

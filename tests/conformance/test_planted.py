@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from tracker.adaptation import with_noise, with_scaled_process_noise
 from tracker.errors import DomainError, ShapeError
+from tracker.models import isnan, maximum, where
 from tracker.testing import check_component, kit, parametrize_checks
 from tracker.types import PLANAR, Association, Gaussian, Space
 from tracker_association.chi_square_gate import ChiSquareGate
@@ -383,7 +385,115 @@ class Climbs(ParticleSwarm):
         return super().tell(memory, -np.nan_to_num(cost, nan=1e9, posinf=1e9))
 
 
+@attrs.frozen(eq=False)
+class Variances:
+    """Memory of `Forgetting`: a variance for each measured component, and what was seen of it."""
+
+    values: Any
+
+
+@attrs.frozen(eq=False)
+class Forgetting:
+    """Measurement noise by hand: a moving average of ``v^2 - H P H'``, floored."""
+
+    keep: float = 0.97
+
+    tunes = ("R",)
+
+    def __attrs_post_init__(self) -> None:
+        if not np.isfinite(self.keep):
+            raise DomainError("keep must be finite")
+
+    def begin(self, motion: Any, sensor: Any, prior: Any, pose: Any) -> Any:
+        R = np.asarray(sensor.R(prior.mean, pose))
+        own = np.stack([R[i, i] for i in range(len(R))])
+        return Variances(own + np.zeros((len(R), *prior.mean.shape[1:])))
+
+    def tuned(self, memory: Any, motion: Any, sensor: Any) -> Any:
+        m, batch = len(memory.values), memory.values.shape[1:]
+        R = np.zeros((m, m, *batch), dtype=memory.values.dtype)
+        for i in range(m):
+            R[i, i] = memory.values[i]
+        return motion, with_noise(sensor, R)
+
+    def found(self, v: Any, known: Any) -> Any:
+        return v * v - known
+
+    def floor(self, value: Any) -> Any:
+        return maximum(value, 1e-4)
+
+    def adapt(self, memory: Any, step: Any, motion: Any, sensor: Any) -> Any:
+        v, S = step.innovation.residual, step.innovation.S
+        R = sensor.R(step.predicted.mean, step.pose)
+        new = []
+        for i in range(len(v)):
+            old = memory.values[i]
+            value = self.floor(
+                self.keep * old + (1.0 - self.keep) * self.found(v[i], S[i, i] - R[i, i])
+            )
+            new.append(self.learnt(v[i], value, old))
+        out = np.empty_like(memory.values)
+        out[:] = new
+        return Variances(out)
+
+    def learnt(self, v: Any, new: Any, old: Any) -> Any:
+        return where(isnan(v), old, new)
+
+
+class WrongSign(Forgetting):
+    def found(self, v, known):
+        return 18.0 - (v * v - known)
+
+
+class ForgetsThePrediction(Forgetting):
+    def found(self, v, known):
+        return v * v + known  # the sign of H P H' as easily mistaken
+
+
+class WithoutFloor(Forgetting):
+    def floor(self, value):
+        return value
+
+
+class LearnsFromNothing(Forgetting):
+    def learnt(self, v, new, old):
+        return where(isnan(v), 0.9 * old, new)
+
+
+class OverwritesItsMemory(Forgetting):
+    def adapt(self, memory, step, motion, sensor):
+        out = super().adapt(memory, step, motion, sensor)
+        if memory.values.dtype != object:
+            memory.values[:] = out.values
+        return out
+
+
+class TouchesTheOther(Forgetting):
+    def tuned(self, memory, motion, sensor):
+        _, tuned = super().tuned(memory, motion, sensor)
+        return with_scaled_process_noise(motion, 1.3 + 0.0 * memory.values[[0] * 4]), tuned
+
+
+class BeginsAnew(Forgetting):
+    def begin(self, motion, sensor, prior, pose):
+        return Variances(9.0 + 0.0 * super().begin(motion, sensor, prior, pose).values)
+
+
+class LearnsFromNeighbours(Forgetting):
+    def adapt(self, memory, step, motion, sensor):
+        values = super().adapt(memory, step, motion, sensor).values
+        if values.dtype != object and values.ndim > 1 and values.shape[-1] > 1:
+            values = 0.5 * values + 0.5 * np.nanmean(values, axis=-1, keepdims=True)
+        return Variances(values)
+
+
+class AdaptsOtherwiseOnNodes(Forgetting):
+    def found(self, v, known):
+        return v * v - known + (0.0 if isinstance(v, (float, np.ndarray)) else 0.01)
+
+
 CLEAN = [
+    Forgetting(),
     TwoStations(),
     Constant(),
     ExtendedKalmanFilter(),
@@ -434,6 +544,15 @@ PLANTED = [
     (LooksOutsideTheGate(), "outside the gate is zero"),
     (FirstComeFirstServed(), "follows permutations"),
     (HalfAWeight(), "rows sum to one"),
+    (WrongSign(), "moves towards the truth"),
+    (ForgetsThePrediction(), "matched noise is a fixed point"),
+    (WithoutFloor(), "noise stays a covariance"),
+    (LearnsFromNothing(), "what was not measured teaches nothing"),
+    (OverwritesItsMemory(), "models are not changed"),
+    (TouchesTheOther(), "tunes what it says"),
+    (BeginsAnew(), "begins with the given noise"),
+    (LearnsFromNeighbours(), "a diverged lane harms no neighbour"),
+    (AdaptsOtherwiseOnNodes(), "compiled agrees with arrays"),
     (FlyingOut(), "stays in bounds"),
     (RelativeCost(), "a constant added changes nothing"),
     (SharedNumbers(), "independent of its company"),

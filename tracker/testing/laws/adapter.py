@@ -129,10 +129,10 @@ def adapter_calls(_adapter: Any, case: Case, batch: tuple[int, ...]) -> list[Cal
 @law("adapter", name="noise stays a covariance")
 def noise_stays_a_covariance(adapter: Any, case: Case) -> None:
     """R and Q stay symmetric, positive semi-definite and finite, whatever was measured: gaps, outliers
-    of a million metres, time steps of zero.
+    of a million metres, time steps of zero, or a sensor that is far better than it says.
     """
-    for batch in ((), (3,)):
-        gaps, z = _rough(case, batch)
+    quiet = _simulated(case.rng, 3 * STEPS, (7,), r=1e-4)
+    for batch, (gaps, z) in (((), _rough(case)), ((3,), _rough(case, (3,))), ((7,), quiet)):
         carried = begin(PLAIN, adapter, MOTION, (POSITION,), _prior(batch))
         for dt, row in zip(gaps, z, strict=True):
             carried, *_ = advance(PLAIN, adapter, carried, MOTION, POSITION, 0, row, float(dt))
