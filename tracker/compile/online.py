@@ -25,6 +25,7 @@ from tracker.compile.llvm import emit
 from tracker.compile.program import WIDTH, Program, Rate
 from tracker.errors import TraceError
 from tracker.models.graph import needed
+from tracker.models.parameters import numbers_of
 from tracker.types import Array, Gaussian, Innovation
 
 # The mapping inside os.environ: asking os.environ itself costs as much as half of a step.
@@ -448,6 +449,8 @@ def _bind(
     """The compiled step for arguments of these shapes; None if arrays have to do it."""
     if run.reason(estimator) or not 0 <= sensor < len(estimator.sensors):
         return None
+    if run.begins_otherwise(estimator):
+        return None
     sensors, model, batch = estimator.sensors, estimator.sensors[sensor], z[1:]
     lanes, size = math.prod(batch), model.pose_space.size
     scalar = {"dt": not time, "pose": pose is None or len(pose) == 1, "u": u is None or len(u) == 1}
@@ -488,15 +491,14 @@ def _bind(
 
 def _fixed(estimator: Any, program: Program, sensor: int, batch: tuple[int, ...]) -> bytes:
     """The number of lanes and the pitch, then what does not change from step to step."""
-    owners = {"motion": estimator.motion}
-    owners |= {f"sensor{i}": s for i, s in enumerate(estimator.sensors)}
+    owners = run.owners(estimator)
     lanes = math.prod(batch)
     scalars, rows = [struct.pack("=2q", lanes, _pitch(lanes))], []
     for name, (_, rate) in program.inputs.items():
         if _given(name):
             continue
         owner, _, parameter = name.partition(".")
-        value = sensor if name == "variant" else owners[owner].parameters[parameter]
+        value = sensor if name == "variant" else numbers_of(owners[owner])[parameter]
         if rate & Rate.LANE:
             rows.append(np.broadcast_to(np.asarray(value, _DOUBLE), batch).tobytes())
         else:
