@@ -11,7 +11,7 @@ import attrs
 import numpy as np
 
 from tracker.errors import DomainError, TraceError, wording
-from tracker.models.functions import sqrt
+from tracker.models.functions import less, sqrt, where
 from tracker.models.parameters import lanes_of_component
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, brief
@@ -87,8 +87,9 @@ class _OtherNoise:
 
     def Q(self, x: Array, dt: Any) -> Array:
         """Covariance of the process noise."""
-        own = self._name == "Q"
-        return _beside(self._noise, x) if own else self._model.Q(x, dt)  # type: ignore[no-any-return]
+        if self._name != "Q":
+            return self._model.Q(x, dt)  # type: ignore[no-any-return]
+        return _beside(self._noise, x) * where(less(0.0, dt), 1.0, 0.0)  # type: ignore[no-any-return]
 
     def R(self, x: Array, pose: Any = None) -> Array:
         """Covariance of the measurement noise."""
@@ -129,7 +130,10 @@ def with_noise(sensor: SensorModel, R: Any) -> SensorModel:
 
 
 def with_process_noise(motion: MotionModel, Q: Any) -> MotionModel:
-    """The motion with another covariance of the process noise, ``(n, n)`` or ``(n, n, *batch)``, whatever dt."""
+    """The motion with another covariance of the process noise, ``(n, n)`` or ``(n, n, *batch)``.
+
+    It is that of every step, whatever dt; a step of no time has none.
+    """
     return _OtherNoise(motion, "Q", Q)
 
 

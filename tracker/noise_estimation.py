@@ -17,7 +17,6 @@ from tracker.adaptation import with_noise, with_process_noise
 from tracker.algebra import apply, at_once, congruence, gain, product, transpose
 from tracker.errors import CapabilityError, DomainError, wording
 from tracker.estimation import Estimator, check_capabilities
-from tracker.models.linearise import linearise
 from tracker.models.parameters import filled, one_of
 from tracker.types import Array, Gaussian, Record, brief
 
@@ -73,7 +72,7 @@ def expectation_maximisation(
 
     ``process`` and ``measurement`` say what may become of Q and of R, which begin as the estimator's:
     any covariance ("full"), its diagonal alone ("diagonal"), a multiple of what it is ("scaled"), or
-    nothing else ("fixed"). One pair is found for all runs ``together``, or one for each run. It ends when
+    nothing else ("fixed"). A step of no time has no process noise. One pair is found for all runs ``together``, or one for each run. It ends when
     the log-likelihood rises by less than ``tolerance`` times its size, or after ``iterations``.
 
     What was not measured is expected, not ignored. The maximum may be a local one, and Q in full from
@@ -125,77 +124,78 @@ def expectation_maximisation(
     Q, R = rows.noise()
     if not together:
         Q, R = (np.repeat(M, rows.runs, axis=2) for M in (Q, R))
-    limit = _constraint(process, Q, "Q"), _constraint(measurement, R, "R")
+    best_Q, best_R = _constraint(process, Q, "Q"), _constraint(measurement, R, "R")
+    Q, R = (best(M) if best else M for best, M in ((best_Q, Q), (best_R, R)))
     found: list[Array] = []
     done = False
     with at_once():
         while True:
-            loglik, moments = rows.smoothed(Q, R)
+            loglik, moments = rows.smoothed(Q if best_Q else None, R if best_R else None)
             found.append(np.asarray(loglik.sum()) if together else loglik)
             if len(found) > 1:
                 done = bool(np.all(found[-1] - found[-2] <= tolerance * np.abs(found[-1])))
             if done or len(found) > iterations:
                 break
-            if process != "fixed":
-                Q = limit[0](rows.process(moments, together))
-            if measurement != "fixed":
-                R = limit[1](rows.measurement(moments, R, together))
+            if best_Q:
+                Q = best_Q(rows.process(moments, together))
+            if best_R:
+                R = best_R(rows.measurement(moments, R, together))
     kept = (Q[..., 0], R[..., 0]) if together else (Q, R)
-    tuned = attrs.evolve(
-        estimator,
-        motion=with_process_noise(estimator.motion, kept[0])
-        if process != "fixed"
-        else estimator.motion,
-        sensors=(with_noise(estimator.sensors[0], kept[1]),)
-        if measurement != "fixed"
-        else estimator.sensors,
-    )
+    tuned = _with(estimator, kept[0] if best_Q else None, kept[1] if best_R else None)
     return NoiseEstimate(*kept, np.array(found), done, tuned)
 
 
-def _constraint(form: str, given: Array, name: str) -> Callable[[Array], Array]:
-    """From the expected products of the noise to the covariance of that form that is most likely."""
+def _constraint(form: str, given: Array, name: str) -> Callable[[Array], Array] | None:
+    """From the expected products of the noise to the most likely covariance of that form; None if fixed."""
+    if form == "fixed":
+        return None
+    if form == "full":
+        return np.asarray
     if form == "diagonal":
         own = np.eye(len(given))[..., None]
         return lambda expected: expected * own
-    if form != "scaled":
-        return lambda expected: expected
-    with np.errstate(all="ignore"):
-        inverse = np.moveaxis(np.linalg.pinv(np.moveaxis(given, -1, 0), hermitian=True), 0, -1)
-    size = len(given)
-    whole = np.linalg.matrix_rank(np.moveaxis(given, -1, 0), hermitian=True)
-    if (whole < size).any():
+    size, matrices = len(given), np.moveaxis(given, -1, 0)
+    rank = np.linalg.matrix_rank(matrices, hermitian=True).min()
+    if rank < size:
         raise DomainError(
-            wording(f"{name} to be scaled", got=f"a matrix of rank {int(whole.min())}",
+            wording(f"{name} to be scaled", got=f"a matrix of rank {rank}",
                     expected=f"a regular one, rank {size}", do="use 'diagonal' or 'full'")
         )  # fmt: skip
+    inverse = np.moveaxis(np.linalg.pinv(matrices, hermitian=True), 0, -1)
     return lambda expected: given * (np.einsum("ij...,ji...->...", inverse, expected) / size)
 
 
 @attrs.frozen(eq=False)
 class _Moments:
-    """Smoothed moments, and what links them, before the first row and at each row.
+    """Smoothed moments before the first row and at each row, and the smoother's gain from each to the next.
 
     Shapes:
-        mean ``(T + 1, n, runs)``, cov ``(T + 1, n, n, runs)``, links ``(T, n, n, runs)``: the smoother's
-        gain from each to the next.
+        mean ``(T + 1, n, runs)``, cov ``(T + 1, n, n, runs)``, gains ``(T, n, n, runs)``.
     """
 
     mean: Array
     cov: Array
-    links: Array
+    gains: Array
 
 
 @attrs.frozen(eq=False)
 class _Rows:
-    """A record whose runs are one axis."""
+    """A record whose runs are one axis, and the linear models at its rows.
+
+    Shapes:
+        dt, seconds to each row from the one before, ``(T,)`` or ``(T, runs)``; F ``(T, n, n, runs)``
+        and c ``(T, n, runs)``: ``x' = F x + c``; H ``(T, m, n, runs)`` and d ``(T, m, runs)``: ``z = H x + d``.
+    """
 
     estimator: Estimator
     record: Record
     prior: Gaussian
     start: float | None
     dt: Array
-    """Seconds to each row from the one before, ``(T,)`` or ``(T, runs)``."""
+    F: Array
+    c: Array
+    H: Array
+    d: Array
 
     @classmethod
     def of(
@@ -206,9 +206,25 @@ class _Rows:
                 wording("the record", got="no rows", expected="measurements", do="give some")
             )
         whole = estimation.fitting(estimator, record, prior, start)
-        flat, state, _ = estimation.in_a_row(record, whole)
+        flat, state, runs = estimation.in_a_row(record, whole)
         first = flat.t[:1] if start is None else np.full_like(flat.t[:1], start)
-        return cls(estimator, flat, state, start, np.diff(np.concatenate([first, flat.t]), axis=0))
+        dt = np.diff(np.concatenate([first, flat.t]), axis=0)
+        motion, sensor = estimator.motion, estimator.sensors[0]
+        zero, models = np.zeros((motion.space.size, runs)), []
+        for k in range(len(flat)):
+            u, pose = (None if v is None else v[k] for v in (flat.u, flat.pose))
+            where = pose if sensor.pose_space.size else None
+            before = flat.t[k] - dt[k]
+            models.append(
+                [
+                    filled(motion.jacobian(zero, dt[k], u, before), 2, (runs,)),
+                    motion.f(zero, dt[k], u, before),
+                    filled(sensor.jacobian(zero, where), 2, (runs,)),
+                    sensor.h(zero, where),
+                ]
+            )
+        stacked = (np.stack(values) for values in zip(*models, strict=True))
+        return cls(estimator, flat, state, start, dt, *stacked)
 
     @property
     def runs(self) -> int:
@@ -223,32 +239,20 @@ class _Rows:
                         do="fix Q (process='fixed'), or tune the motion's own numbers with tk.tune")
             )  # fmt: skip
 
-    def pose(self, k: int) -> Any:
-        sensor, pose = self.estimator.sensors[0], self.record.pose
-        return None if pose is None or not sensor.pose_space.size else pose[k]
-
-    def ahead(self, x: Array, k: int) -> tuple[Any, Any]:
-        """Where states before row k are at row k without noise, and the transition."""
-        record, dt = self.record, self.dt[k]
-        u = None if record.u is None else record.u[k]
-        return linearise(self.estimator.motion, x, dt, u, record.t[k] - dt)
-
     def noise(self) -> tuple[Array, Array]:
         """The models' own, ``(n, n, 1)`` and ``(m, m, 1)``."""
-        x, used = self.prior.mean[:, :1], self.dt[self.dt > 0.0]
-        pose = self.pose(0)
-        where = pose if pose is None or pose.ndim == 1 else pose[:, :1]
+        x, used, pose = self.prior.mean[:, :1], self.dt[self.dt > 0.0], self.record.pose
+        where = None
+        if pose is not None and self.estimator.sensors[0].pose_space.size:
+            where = pose[0] if pose.ndim == 2 else pose[0, :, :1]
         Q = self.estimator.motion.Q(x, float(used.flat[0]) if used.size else 0.0)
         R = self.estimator.sensors[0].R(x, where)
-        return tuple(np.array(filled(M, 2, (1,)), dtype=np.float64) for M in (Q, R))  # type: ignore[return-value]
+        return _shared(Q), _shared(R)
 
     # ------------------------------------------------------------------------ expectation
-    def smoothed(self, Q: Array, R: Array) -> tuple[Array, _Moments]:
-        """Log-likelihood ``(runs,)``, and smoothed moments, with this noise."""
-        motion = with_process_noise(self.estimator.motion, Q)
-        tuned = attrs.evolve(
-            self.estimator, motion=motion, sensors=(with_noise(self.estimator.sensors[0], R),)
-        )
+    def smoothed(self, Q: Array | None, R: Array | None) -> tuple[Array, _Moments]:
+        """Log-likelihood ``(runs,)``, and smoothed moments, with this noise (None: the models' own)."""
+        tuned = _with(self.estimator, Q, R)
         ahead, filtered = [], [self.prior]
         loglik = np.zeros(self.runs)
         for _, _, predicted, state, innovation in estimation.steps(
@@ -257,59 +261,70 @@ class _Rows:
             ahead.append(predicted.moments())
             filtered.append(state.moments())
             loglik += innovation.loglik
-        steps, n = len(ahead), self.prior.n
-        mean, cov = np.empty((steps + 1, n, self.runs)), np.empty((steps + 1, n, n, self.runs))
-        links = np.empty((steps, n, n, self.runs))
-        mean[-1], cov[-1] = filtered[-1].mean, filtered[-1].cov
-        for k in range(steps - 1, -1, -1):
-            before = filtered[k]
-            _, F = self.ahead(before.mean, k)
-            G = links[k] = gain(transpose(product(F, before.cov)), ahead[k].cov)
-            mean[k] = before.mean + apply(G, mean[k + 1] - ahead[k].mean)
-            cov[k] = before.cov + congruence(G, cov[k + 1] - ahead[k].cov)
-        return loglik, _Moments(mean, cov, links)
+        mean, cov = np.stack([g.mean for g in filtered]), np.stack([g.cov for g in filtered])
+        expected, spread = np.stack([g.mean for g in ahead]), np.stack([g.cov for g in ahead])
+        F, before, after = (_merged(M) for M in (self.F, cov[:-1], spread))
+        gains = _apart(gain(transpose(product(F, before)), after), len(ahead))
+        for k in range(len(ahead) - 1, -1, -1):
+            mean[k] += apply(gains[k], mean[k + 1] - expected[k])
+            cov[k] += congruence(gains[k], cov[k + 1] - spread[k])
+        return loglik, _Moments(mean, cov, gains)
 
     # ----------------------------------------------------------------------- maximisation
     def process(self, moments: _Moments, together: bool) -> Array:
         """Mean of the expected ``w w'`` over the steps that take time, ``(n, n, 1 or runs)``."""
-        mean, cov = moments.mean, moments.cov
-        total, count = np.zeros(cov.shape[1:]), np.zeros(self.runs)
-        for k in range(len(self.record)):
-            ahead, F = self.ahead(mean[k], k)
-            w = mean[k + 1] - ahead
-            cross = product(F, product(moments.links[k], cov[k + 1]))  # F cov(x_k, x_k+1)
-            found = w[:, None] * w[None] + cov[k + 1] + congruence(F, cov[k])
-            taken = np.broadcast_to(self.dt[k] > 0.0, (self.runs,)).astype(float)
-            total += (found - cross - transpose(cross)) * taken
-            count += taken
-        return _mean(total, count, together)
+        x, after = _merged(moments.mean[:-1]), _merged(moments.mean[1:])
+        P, Pa = _merged(moments.cov[:-1]), _merged(moments.cov[1:])
+        F = _merged(self.F)
+        w = after - apply(F, x) - _merged(self.c)
+        cross = product(F, product(_merged(moments.gains), Pa))  # F cov(x_k, x_k+1)
+        found = w[:, None] * w[None] + Pa + congruence(F, P) - cross - transpose(cross)
+        takes = self.dt > 0.0 if self.dt.ndim > 1 else self.dt[:, None] > 0.0
+        return self._mean(found, np.broadcast_to(takes, (len(self.dt), self.runs)), together)
 
     def measurement(self, moments: _Moments, R: Array, together: bool) -> Array:
         """Mean of the expected ``v v'`` over the rows in which something was measured."""
-        sensor, z = self.estimator.sensors[0], self.record.z
-        m = R.shape[0]
-        R = np.broadcast_to(R, (m, m, self.runs))
-        total, count = np.zeros((m, m, self.runs)), np.zeros(self.runs)
-        whole = np.eye(m)[..., None]
-        for k in range(len(self.record)):
-            x, P = moments.mean[k + 1], moments.cov[k + 1]
-            expected, H = linearise(sensor, x, self.pose(k))
-            v = sensor.residual(z[k], expected)
-            seen = (~np.isnan(v)).astype(float)
-            v = np.where(np.isnan(v), 0.0, v)
-            both = seen[:, None] * seen[None]
-            # The noise of what was not measured, given the rest: v_m = B v_o + something of R - B R_o B'.
-            inner = both * R + whole * (1.0 - seen)[None]
-            B = gain(R * seen[None], inner) * seen[None]
-            found = congruence(B, (v[:, None] * v[None] + congruence(H, P)) * both)
-            some = (seen.sum(axis=0) > 0.0).astype(float)
-            total += (found + R - congruence(B, both * R)) * some
-            count += some
-        return _mean(total, count, together)
+        H, x, P = _merged(self.H), _merged(moments.mean[1:]), _merged(moments.cov[1:])
+        z = _merged(self.record.z[:, : len(H)])
+        v = self.estimator.sensors[0].residual(z, apply(H, x) + _merged(self.d))
+        old = np.tile(np.broadcast_to(R, (*R.shape[:2], self.runs)), len(self.record))
+        seen = (~np.isnan(v)).astype(float)
+        v = np.where(np.isnan(v), 0.0, v)
+        both = seen[:, None] * seen[None]
+        # The noise of what was not measured, given the rest: B times that, and something of R - B R B'.
+        B = gain(old * seen[None], both * old + np.eye(len(H))[..., None] * (1.0 - seen)) * seen
+        found = congruence(B, (v[:, None] * v[None] + congruence(H, P)) * both)
+        found = found + old - congruence(B, both * old)
+        return self._mean(found, (seen.sum(axis=0) > 0.0).reshape(-1, self.runs), together)
+
+    def _mean(self, found: Array, counts: Array, together: bool) -> Array:
+        """Mean over those steps that count, and over runs, of ``(n, n, T * runs)``."""
+        total = np.where(counts.reshape(-1), found, 0.0)
+        total = total.reshape(*found.shape[:2], *counts.shape).sum(axis=2)
+        count = counts.sum(axis=0)
+        if together:
+            total, count = total.sum(axis=-1, keepdims=True), count.sum(keepdims=True)
+        out = total / np.maximum(count, 1)
+        return np.asarray(0.5 * (out + out.swapaxes(0, 1)))
 
 
-def _mean(total: Array, count: Array, together: bool) -> Array:
-    if together:
-        total, count = total.sum(axis=-1, keepdims=True), count.sum(keepdims=True)
-    out = total / np.maximum(count, 1.0)
-    return 0.5 * (out + out.swapaxes(0, 1))
+def _with(estimator: Estimator, Q: Array | None, R: Array | None) -> Estimator:
+    """The estimator with this noise; None is its own."""
+    motion = estimator.motion if Q is None else with_process_noise(estimator.motion, Q)
+    sensor = estimator.sensors[0] if R is None else with_noise(estimator.sensors[0], R)
+    return attrs.evolve(estimator, motion=motion, sensors=(sensor,))
+
+
+def _shared(matrix: Any) -> Array:
+    return np.array(filled(matrix, 2, (1,)), dtype=np.float64)
+
+
+def _merged(values: Array) -> Array:
+    """``(T, ..., runs)`` as ``(..., T * runs)``: steps are lanes."""
+    moved = np.moveaxis(values, 0, -2)
+    return np.ascontiguousarray(moved).reshape(*moved.shape[:-2], -1)
+
+
+def _apart(values: Array, steps: int) -> Array:
+    """The opposite of `_merged`."""
+    return np.ascontiguousarray(np.moveaxis(values.reshape(*values.shape[:-1], steps, -1), -2, 0))

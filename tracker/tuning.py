@@ -562,7 +562,7 @@ def tune(
     )
     best = _settings(bounds, searched.x[:, 0])
     if not np.isfinite(searched.cost).any():
-        raise _hopeless(estimator, places, searched, best)
+        raise _hopeless(estimator, places, bounds, searched)
     candidates = np.concatenate([given, best], axis=1)
     training = of.score(candidates)
     costs = np.array([score.cost(objective) for score in training])
@@ -674,15 +674,13 @@ def _settings(bounds: Sequence[Tuned], x: Array) -> Array:
 def _hopeless(
     estimator: Estimator,
     places: Sequence[Sequence[Place]],
+    bounds: Sequence[Tuned],
     searched: Optimisation,
-    best: Array,
 ) -> TrackerError:
     """Why not one candidate had a finite cost."""
-    middle = 0.5 * (searched.bounds[:, 0] + searched.bounds[:, 1])
-    tried = np.where(np.isfinite(best[:, 0]), best[:, 0], middle)
     reason = "every one lost a run, or was refused"
     try:
-        retuned(estimator, places, [np.array([v]) for v in tried])
+        retuned(estimator, places, [np.array([number.low]) for number in bounds])
     except TrackerError as error:
         reason = str(error)
     return DomainError(
