@@ -21,10 +21,20 @@ from tracker.compile.online import Steps
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.models.parameters import lanes_of_component
 from tracker.protocols import Filter, MotionModel, NoiseAdapter, SensorModel, Smoother
-from tracker.recursion import advance, begin, is_random, lanes_of, why_untunable
+from tracker.recursion import Adapted, advance, begin, is_random, lanes_of, why_untunable
 from tracker.registry import Component
 from tracker.threads import each
-from tracker.types import ArrayLike, Beliefs, Gaussian, History, Innovation, Record, Run, Trajectory
+from tracker.types import (
+    ArrayLike,
+    Beliefs,
+    Gaussian,
+    History,
+    Innovation,
+    Record,
+    Run,
+    Trajectory,
+    as_array,
+)
 
 LANE_BYTES = 128_000
 """Temporaries above this size page-fault: lanes are worked in tiles of this many bytes of P."""
@@ -200,8 +210,9 @@ class Estimator:
                     do="give the sensor's place among those of the estimator",
                 )
             )
+        _known_belief(self, state)
         model = self.sensors[sensor]
-        values = z if isinstance(z, np.ndarray) else np.asarray(z, dtype=np.float64)
+        values = as_array(z, "z")
         if values.shape[:1] != (model.space.size,):
             raise ShapeError(
                 wording(
@@ -230,15 +241,27 @@ class Estimator:
                     do="replace inf by NaN if the measurement is missing",
                 )
             )
-        if not ((dt >= 0) if isinstance(dt, float) else np.all(np.asarray(dt) >= 0)):
+        if not (0.0 <= dt < math.inf if isinstance(dt, float) else _seconds(dt, lanes)):
             raise DomainError(
                 wording(
                     "argument 'dt'",
                     got=f"{dt}",
-                    expected="seconds that are not negative",
+                    expected="finite seconds that are not negative",
                     do="give late measurements in time order, or let tk.FixedLag do it",
                 )
             )
+        if t is None and getattr(self.motion, "reads_time", False):
+            raise DomainError(
+                wording(
+                    "argument 't'",
+                    got="nothing",
+                    expected=f"the time at the start of the step, which motion "
+                    f"{getattr(self.motion, 'name', type(self.motion).__name__)!r} reads",
+                    do="pass t=, the time of the last step",
+                )
+            )
+        pose = _given("pose", pose, model.pose_space, lanes)
+        u = _given("u", u, getattr(self.motion, "input_space", None), lanes)
         if isinstance(state, Gaussian) and (self.adapter or hasattr(self.filter, "begin")):
             state = self.begin(state, pose=pose)
         return self._step(state, values, dt, pose, u, t, sensor)
@@ -308,6 +331,72 @@ class Estimator:
         return f"<table><caption>Estimator</caption>{rows}</table>"
 
 
+def _known_belief(estimator: Estimator, state: Any) -> None:
+    """Refuse a state that the filter cannot have returned."""
+    begins = hasattr(estimator.filter, "begin")
+    if isinstance(state, Gaussian):
+        if not is_random(estimator.filter):
+            return
+        raise CapabilityError(
+            f"filter {type(estimator.filter).__name__} draws random numbers: got a Gaussian as state. "
+            "Do this: begin with estimator.begin(prior, rng=np.random.default_rng(seed))."
+        )
+    adapted = isinstance(state, Adapted)
+    belief = state.belief if adapted else state
+    fits = adapted == (estimator.adapter is not None) and hasattr(belief, "moments")
+    if fits and (begins or isinstance(belief, Gaussian)):
+        return
+    raise CapabilityError(
+        wording(
+            "argument 'state'",
+            got=type(state).__name__,
+            expected="a Gaussian, or what the last step of this estimator returned",
+            do="pass tk.Gaussian(mean, cov) at first",
+        )
+    )
+
+
+def _seconds(dt: Any, lanes: tuple[int, ...]) -> bool:
+    values = as_array(dt, "dt")
+    if values.shape not in {(), lanes}:
+        raise ShapeError(
+            wording(
+                "argument 'dt'",
+                got=f"shape {values.shape} for states of batch shape {lanes}",
+                expected=f"() or {lanes}",
+                do="give one number, or one per lane",
+            )
+        )
+    return bool(((values >= 0.0) & (values < math.inf)).all())
+
+
+def _given(name: str, value: Any, space: Any, lanes: tuple[int, ...]) -> Any:
+    """A pose or an input of one step, as what the model takes."""
+    if value is None:
+        return None
+    values = as_array(value, name)
+    size = 0 if space is None else space.size
+    if space is not None and values.shape not in {(size,), (size, *lanes)}:
+        raise ShapeError(
+            wording(
+                f"argument {name!r}",
+                got=f"shape {values.shape}",
+                expected=f"({size}, *batch): {space}" if size else f"no {name}: the model has none",
+                do=f"give one number for each component of the {name}" if size else "leave it out",
+            )
+        )
+    if not np.isfinite(values).all():
+        raise DomainError(
+            wording(
+                f"argument {name!r}",
+                got="NaN or an infinite value",
+                expected="finite numbers",
+                do="give NaN in z where a measurement is missing, and nowhere else",
+            )
+        )
+    return values
+
+
 def _infinite(values: Any) -> bool:
     if values.ndim == 1:  # one run: a list of few numbers is searched faster than an array
         few = values.tolist()
@@ -315,23 +404,32 @@ def _infinite(values: Any) -> bool:
     return bool(np.isinf(values).any())
 
 
-_PARTS = {"filter": "update", "motion": "f", "sensor": "h"}
+_PARTS = {
+    "filter": ("predict", "update"),
+    "motion": ("f", "Q"),
+    "sensor": ("h", "R"),
+    "smoother": ("smooth",),
+    "adapter": ("begin", "tuned", "adapt"),
+}
 
 
 def _play_their_parts(estimator: Estimator) -> None:
-    """Refuse what is no filter, motion or sensor, before anything asks it for more."""
+    """Refuse what cannot play its part, before anything asks it for more."""
     if not estimator.sensors:
         raise CapabilityError("an estimator needs a sensor: got none. Do this: pass sensor=....")
     given = [("filter", estimator.filter), ("motion", estimator.motion)]
+    optional = (("smoother", estimator.smoother), ("adapter", estimator.adapter))
+    given += [(role, value) for role, value in optional if value is not None]
     for role, value in given + [("sensor", sensor) for sensor in estimator.sensors]:
-        if not hasattr(value, _PARTS[role]):
+        absent = [name for name in _PARTS[role] if not callable(getattr(value, name, None))]
+        if absent or isinstance(value, type):
+            lacks = f"which has no method {absent[0]!r}" if absent else "a class"
             raise CapabilityError(
                 wording(
                     f"argument {role!r}",
-                    got=f"{getattr(value, 'name', None) or repr(value)[:60]}, which has no method "
-                    f"{_PARTS[role]!r}",
+                    got=f"{getattr(value, 'name', None) or repr(value)[:60]}, {lacks}",
                     expected=f"a {role}, or the name of one",
-                    do=f"see `tracker list {role}`",
+                    do=f"see `tracker list {role}`" if absent else "make one of it: call the class",
                 )
             )
 
@@ -459,10 +557,23 @@ def _keeps_beliefs(estimator: Estimator) -> bool:
 
 def _each_lane(rng: Any, prior: Any) -> Any:
     """One generator per lane; the same generator gives the same ones."""
-    if rng is None or not isinstance(rng, np.random.Generator):
-        return None if rng is None else list(rng)
     batch = prior.moments().batch
-    return rng.spawn(int(np.prod(batch))) if batch else rng
+    if isinstance(rng, np.random.Generator):
+        return rng.spawn(int(np.prod(batch))) if batch else rng
+    if rng is None:
+        return None
+    each = list(rng) if isinstance(rng, Sequence) else []
+    good = bool(each) and all(isinstance(g, np.random.Generator) for g in each)
+    if not good or len(each) != int(np.prod(batch)):
+        raise CapabilityError(
+            wording(
+                "argument 'rng'",
+                got=f"{len(each)} generators" if good else repr(rng)[:60],
+                expected=f"a numpy.random.Generator, or {int(np.prod(batch))} of them: one per lane",
+                do="pass np.random.default_rng(seed)",
+            )
+        )
+    return each
 
 
 def smooth(
@@ -702,19 +813,31 @@ def _size(sensor: SensorModel) -> int:
 
 
 def _refuse_silent_broadcasts(estimator: Estimator, record: Record, prior: Gaussian) -> None:
-    """A matrix without batch axes beside lanes would broadcast over the wrong axes, unnoticed."""
+    """A matrix without batch axes beside lanes would broadcast over the wrong axes, unnoticed.
+
+    So would one that is not symmetric go unnoticed: filters read either triangle.
+    """
     axes = 2 + len(record.batch)
-    if axes == 2 or not len(record):
+    if not len(record) or not prior.mean.size:
         return
     with np.errstate(all="ignore"):
         found: list[tuple[str, Any, str, Any]] = [
-            ("motion", estimator.motion, "Q", estimator.motion.Q(prior.mean, 0.0))
+            ("motion", estimator.motion, "Q", estimator.motion.Q(prior.mean, 1.0))
         ]
         for sensor in estimator.sensors:
             size = sensor.pose_space.size
             pose = None if record.pose is None or not size else record.pose[0, :size]
             found.append(("sensor", sensor, "R", sensor.R(prior.mean, pose)))
     for role, component, name, value in found:
+        if not np.allclose(value, value.swapaxes(0, 1), rtol=1e-9, atol=0.0, equal_nan=True):
+            raise DomainError(
+                wording(
+                    f"{role} {getattr(component, 'name', type(component).__name__)!r}: {name}",
+                    got="a matrix that is not symmetric",
+                    expected="a covariance",
+                    do="correct its noise: entry (i, j) is entry (j, i)",
+                )
+            )
         if value.ndim != axes:
             raise ShapeError(
                 wording(

@@ -42,6 +42,9 @@ DIVERGED = 10.0
 SLIGHT = 1.25
 """A mean NEES that is wrong by a smaller factor is called slightly so: many runs show the smallest one."""
 
+ABSURD = 3.0
+"""A mean NEES above this many times n is told of even if few steps make it."""
+
 PER_STEP = ("squared_error", "nees", "nis", "count", "finite")
 PER_RUN = (
     "rmse",
@@ -253,6 +256,12 @@ class Campaign:
                     f"{label} is {slightly}{word}: mean NEES is {ratio:.3g} times what a consistent estimator "
                     f"has, and inside its band at only {row['nees_share']:.0%} of the steps."
                 )
+            elif "nees" in (metrics or ("nees",)) and not ratio < ABSURD:
+                out.append(
+                    f"{label} is certain of what is not so at some steps of some runs: mean NEES is "
+                    f"{ratio:.3g} times what a consistent estimator has, though inside its band at "
+                    f"{row['nees_share']:.0%} of the steps."
+                )
             tail = row["final_share"]
             if "nees" in (metrics or ("nees",)) and _too_often(tail, self.runs):
                 out.append(
@@ -411,6 +420,15 @@ def monte_carlo(
                 got=repr(scenario)[:80],
                 expected="a Scenario",
                 do="pass tk.scenario(name)",
+            )
+        )
+    if not isinstance(estimators, (Estimator, Mapping)):
+        raise CapabilityError(
+            wording(
+                "argument 'estimators'",
+                got=repr(estimators)[:80],
+                expected="an Estimator, or a mapping of names to them",
+                do="pass {'name': estimator, ...}",
             )
         )
     named = {"estimator": estimators} if isinstance(estimators, Estimator) else dict(estimators)

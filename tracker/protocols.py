@@ -271,7 +271,7 @@ class NoiseAdapter(Protocol[A]):
     def tuned(
         self, memory: A, motion: MotionModel, sensor: SensorModel
     ) -> tuple[MotionModel, SensorModel]:
-        """The models for the next step: see `tracker.adaptation.with_noise`."""
+        """The models for the next step: see `tracker.adaptation`, with_noise and with_process_noise."""
         ...
 
     def adapt(self, memory: A, step: Step, motion: MotionModel, sensor: SensorModel) -> A:

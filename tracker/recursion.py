@@ -81,7 +81,7 @@ def begin(
         else:
             raise CapabilityError(
                 f"filter {type(filter_).__name__} draws random numbers: got no generator. "
-                "Do this: pass rng=np.random.default_rng(seed)."
+                "Do this: pass rng=np.random.default_rng(seed), to tk.filter or to estimator.begin."
             )
     if adapter is None:
         return belief

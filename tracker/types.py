@@ -307,6 +307,9 @@ class Gaussian:
     cov: Array = attrs.field(repr=brief, metadata=SYMMETRIC)
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
+        if isinstance(mean, np.ndarray) and mean.dtype.hasobject:  # components of a traced step
+            self.__attrs_init__(mean, cov)
+            return
         mean = np.array(as_array(mean, "mean"))
         if mean.ndim == 0:
             raise ShapeError(

@@ -382,7 +382,7 @@ def test_a_bare_name_that_needs_parameters_says_how_to_give_them():
     [
         ({"motion": BEARINGS, "sensor": MOTION}, "no method 'f'"),
         ({"sensor": []}, "needs a sensor"),
-        ({"filter": object()}, "no method 'update'"),
+        ({"filter": object()}, "no method 'predict'"),
     ],
 )
 def test_parts_that_play_no_part_are_refused_by_name(change, words):

@@ -54,7 +54,7 @@ class Compared:
 @click.option("--scenario", "problem", default="two_stations", show_default=True, metavar="NAME")
 @click.option("--smoother", metavar="NAME", help="Smooth afterwards, and show that too.")
 @click.option("--runs", default=1000, show_default=True, type=click.IntRange(1))
-@click.option("--seed", default=0, show_default=True, type=int)
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0))
 @click.option("--out", metavar="DIR", help="Also write DIR/results.json.")
 def compare(
     filters: tuple[str, ...],

@@ -460,6 +460,7 @@ def _bind(
         and time in {(), batch}
         and (pose in {(size,), (size, *batch)} if size else pose is None)
         and (u is None or (len(u) > 0 and u[1:] in {(), batch}))
+        and (u is None or _inputs(estimator.motion) in {None, u[0]})
     )
     if not fits:
         return None
@@ -489,6 +490,12 @@ def _bind(
     )
 
 
+def _inputs(motion: Any) -> int | None:
+    """How many inputs a motion takes, where it tells."""
+    space = getattr(motion, "input_space", None)
+    return None if space is None else int(space.size)
+
+
 def _fixed(estimator: Any, program: Program, sensor: int, batch: tuple[int, ...]) -> bytes:
     """The number of lanes and the pitch, then what does not change from step to step."""
     owners = run.owners(estimator)
@@ -509,9 +516,13 @@ def _fixed(estimator: Any, program: Program, sensor: int, batch: tuple[int, ...]
 # ------------------------------------------------------------------------------------ stepping
 def _real(values: Any) -> Array:
     array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
+    if array.dtype.kind not in "fiu" or isinstance(values, np.ma.MaskedArray):
         raise TypeError
     return array.astype(_DOUBLE, copy=False)
+
+
+def _forwards(dt: Any) -> bool:
+    return bool(((dt >= 0) & (dt < math.inf)).all())
 
 
 class Steps:
@@ -581,7 +592,9 @@ class Steps:
             few = z.tolist()
             if math.inf in few or -math.inf in few:
                 return None
-        if not ((dt >= 0) if not time else np.all(np.greater_equal(dt, 0))):
+        if not (0.0 <= dt < math.inf if not time else _forwards(dt)):
+            return None
+        if not usual and not all(v is None or np.isfinite(v).all() for v in (pose, u, t)):
             return None
         before = _before(state, bound)
         if before is None:

@@ -61,7 +61,7 @@ class ComponentMotion:
 
     @_steady.default
     def _changes_with_dt_alone(self) -> bool:
-        return "t" not in self._advance.keywords and not self.input_space.axes
+        return not self.reads_time and not self.input_space.axes
 
     def __attrs_post_init__(self) -> None:
         known = {*RESERVED, *self.input_space.names, *self.parameters}
@@ -106,6 +106,11 @@ class ComponentMotion:
             )
 
     # ------------------------------------------------------------------ the protocol
+    @property
+    def reads_time(self) -> bool:
+        """Whether the step depends on the time at which it begins."""
+        return "t" in self._advance.keywords
+
     def f(self, x: ArrayLike, dt: Any, u: ArrayLike | None = None, t: Any = None) -> Any:
         """The state after ``dt`` seconds without noise, ``(n, *batch)``."""
         state = shaped(x, self.space, "x", self.name)
