@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any
 
 import attrs
@@ -25,10 +26,30 @@ from tracker.types import (
     History,
     Innovation,
     Trajectory,
+    as_array,
     brief,
 )
 
-__all__ = ["FixedLag", "Row"]
+__all__ = ["FixedLag", "Row", "whole_steps"]
+
+
+def whole_steps(what: str, value: Any, least: int) -> None:
+    """Refuse a lag that is no count of steps; ``what`` says whose it is.
+
+    Raises:
+        DomainError: if it is not a whole number, or below ``least``.
+    """
+    if isinstance(value, Integral) and not isinstance(value, bool) and value >= least:
+        return
+    raise DomainError(
+        wording(
+            what,
+            got=repr(value),
+            expected=f"a whole number of steps, {least} or more; a lag is counted in measurements, "
+            "not in seconds",
+            do="pass lag=10; for a lag in seconds, divide it by the time between two measurements",
+        )
+    )
 
 
 @attrs.frozen(eq=False)
@@ -60,8 +81,11 @@ class FixedLag:
     same measurements in time order. ``estimator`` may be exchanged between steps
     (``attrs.evolve(window, estimator=...)``): each step keeps the one that it was made with.
 
+    ``begun`` is the oldest time that is kept, ``before`` the belief there, ``start`` the time of the
+    prior.
+
     Raises:
-        DomainError: if the lag is below one step.
+        DomainError: if the lag is no whole number of steps, one or more.
     Reference: Särkkä (2013), Bayesian Filtering and Smoothing, section 10.5, for the lag; Bar-Shalom (2002),
         Update with out-of-sequence measurements in tracking: exact solution, for what is equalled.
     Laws: late measurements give what the same measurements give in time order.
@@ -81,10 +105,19 @@ class FixedLag:
     """
 
     estimator: Estimator
-    lag: int
+    lag: int = attrs.field()
     begun: float
     before: Any = attrs.field(repr=False)
     rows: tuple[Row, ...] = ()
+    start: float = attrs.field()
+
+    @lag.validator
+    def _steps(self, _attribute: object, lag: Any) -> None:
+        whole_steps("argument 'lag'", lag, 1)
+
+    @start.default
+    def _as_begun(self) -> float:
+        return self.begun
 
     @classmethod
     def begin(
@@ -100,13 +133,10 @@ class FixedLag:
         """From a prior of any batch shape at time ``t``; pose and rng as in `Estimator.begin`.
 
         Raises:
-            DomainError: if the lag is below one step.
+            DomainError: if the lag is no whole number of steps, one or more, or t is not finite.
         """
-        if lag < 1:
-            raise DomainError(
-                wording("argument 'lag'", got=lag, expected="1 or more steps", do="pass lag=10")
-            )
-        return cls(estimator, lag, float(t), estimator.begin(prior, pose=pose, rng=rng))
+        whole_steps("argument 'lag'", lag, 1)
+        return cls(estimator, int(lag), _time(t), estimator.begin(prior, pose=pose, rng=rng))
 
     @property
     def t(self) -> float:
@@ -138,17 +168,19 @@ class FixedLag:
         the row before until this one; of a late measurement without one it is that of the row after.
 
         Shapes:
-            z ``(m, *batch)``, NaN where not measured; t a number, the same for all lanes.
+            z ``(m, *batch)``, NaN or masked where not measured; t a number, the same for all lanes.
 
         Raises:
-            DomainError: if t is older than what is kept (`begun`), or not finite.
+            DomainError: if t is older than what is kept (`begun`), or not finite, or if a pose or an
+                input holds what is not finite.
             ShapeError: if t differs from lane to lane, or z does not fit.
         """
-        place = self._place(t)
+        now, place = self._place(t)
         if u is None and place < len(self.rows):
             u = self.rows[place].u
-        values = np.array(z, dtype=np.float64)
-        new = Row(float(t), values, pose, u, sensor, self.estimator, None, None)
+        values = np.array(as_array(z, "z"))  # a copy: what was measured stays so
+        where, given = _finite("pose", pose), _finite("u", u)
+        new = Row(now, values, where, given, sensor, self.estimator, None, None)
         rows = self._again((*self.rows[:place], new, *self.rows[place:]), place)
         if len(rows) <= self.lag:
             return attrs.evolve(self, rows=rows)
@@ -173,40 +205,40 @@ class FixedLag:
         A time that is past is retrodicted: a step is put there that measures nothing, and smoothed.
 
         Raises:
-            DomainError: if t is older than what is kept.
+            DomainError: if t is older than what is kept, or not finite.
             CapabilityError: if t is past and the estimator has no smoother.
         """
-        place, rows = self._place(t), self.rows
+        (now, place), rows = self._place(t), self.rows
         if place == len(rows):
-            ahead = Row(float(t), np.empty(0), None, None, 0, self.estimator, None, None)
+            ahead = Row(now, np.empty(0), None, None, 0, self.estimator, None, None)
             with np.errstate(all="ignore"):
                 return _predicted(ahead, self.state, self.t).moments()  # type: ignore[no-any-return]
         nothing = np.full_like(rows[place].z, np.nan)
-        blank = attrs.evolve(rows[place], t=float(t), z=nothing)
+        blank = attrs.evolve(rows[place], t=now, z=nothing)
         whole = self._again((*rows[:place], blank, *rows[place:]), place)
         return attrs.evolve(self, rows=whole).smoothed()[1].at(place + 1)
 
     # ---------------------------------------------------------------------------- inside
-    def _place(self, t: Any) -> int:
-        if np.ndim(t):
-            raise ShapeError(
-                wording(
-                    "argument 't'",
-                    got=f"shape {np.shape(t)}",
-                    expected="one time for all lanes",
-                    do="step lane by lane, or give NaN in the lanes that were not measured",
-                )
-            )
-        if not np.isfinite(t) or t < self.begun:
+    def _place(self, t: Any) -> tuple[float, int]:
+        """A time as a number, and after how many rows it comes."""
+        now = _time(t)
+        if now < self.begun:
+            left = now >= self.start  # once it was kept
             raise DomainError(
                 wording(
                     "argument 't'",
-                    got=f"{t} s",
-                    expected=f"a time from {self.begun} s on, the oldest that is kept",
-                    do=f"leave the measurement out, or begin with a lag of more than {self.lag} steps",
+                    got=f"{now} s",
+                    expected=f"a time from {self.begun} s on, the oldest that is kept"
+                    if left
+                    else f"a time from {self.start} s on, that of the prior",
+                    do=f"leave the measurement out, or begin with a lag of more than {self.lag} "
+                    f"step{'s' * (self.lag > 1)}"
+                    if left
+                    else "leave the measurement out, or begin with a prior of an earlier time: "
+                    "tk.FixedLag.begin(estimator, prior, t)",
                 )
             )
-        return bisect.bisect_right([row.t for row in self.rows], t)
+        return now, bisect.bisect_right([row.t for row in self.rows], now)
 
     def _again(self, rows: tuple[Row, ...], first: int) -> tuple[Row, ...]:
         """The rows with what follows from the measurements, from ``first`` on."""
@@ -254,6 +286,51 @@ class FixedLag:
             u=u,
             beliefs=Beliefs(tuple(kept), tuple(_belief(belief) for belief in beliefs)),
         )
+
+
+def _time(t: Any) -> float:
+    """One finite number of seconds.
+
+    Raises:
+        ShapeError: if there are several. DomainError: if it is not finite.
+    """
+    value = as_array(t, "t")
+    if value.ndim:
+        raise ShapeError(
+            wording(
+                "argument 't'",
+                got=f"shape {value.shape}",
+                expected="one time for all lanes",
+                do="step lane by lane, or give NaN in the lanes that were not measured",
+            )
+        )
+    if not np.isfinite(value):
+        raise DomainError(
+            wording(
+                "argument 't'",
+                got=f"{value} s",
+                expected="a finite number of seconds",
+                do="give the time of the measurement, or leave out one without a time",
+            )
+        )
+    return float(value)
+
+
+def _finite(name: str, values: Any) -> Any:
+    """A pose or an input as an array of its own, or None."""
+    if values is None:
+        return None
+    own = np.array(as_array(values, name))
+    if not np.isfinite(own).all():
+        raise DomainError(
+            wording(
+                f"argument {name!r}",
+                got="NaN or inf",
+                expected="finite numbers",
+                do="fill the gap before the step",
+            )
+        )
+    return own
 
 
 def _belief(carried: Any) -> Any:

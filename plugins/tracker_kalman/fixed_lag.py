@@ -10,7 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.errors import DomainError, wording
+from tracker.late import whole_steps
 from tracker.protocols import MotionModel
 from tracker.types import Gaussian, History, Trajectory
 from tracker_kalman.rts import RauchTungStriebel
@@ -26,7 +26,7 @@ class FixedLagSmoother:
     share its gain.
 
     Raises:
-        DomainError: if the lag is negative.
+        DomainError: if the lag is no whole number of steps, zero or more.
     Reference: Särkkä (2013), Bayesian Filtering and Smoothing, section 10.5; Anderson and Moore (1979),
         Optimal Filtering, section 7.3.
     Laws: those of kind "smoother" where the lag is as long as the record; each estimate is the
@@ -38,10 +38,7 @@ class FixedLagSmoother:
 
     @lag.validator
     def _not_negative(self, _attribute: object, lag: int) -> None:
-        if lag < 0:
-            raise DomainError(
-                wording("parameter 'lag'", got=lag, expected="0 or more steps", do="pass lag=10")
-            )
+        whole_steps("parameter 'lag'", lag, 0)
 
     @property
     def needs(self) -> tuple[str, ...]:

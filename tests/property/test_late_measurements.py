@@ -11,7 +11,7 @@ import tracker as tk
 from tracker.adaptation import with_noise
 from tracker.errors import CapabilityError, DomainError, ShapeError
 from tracker_kalman import FixedLagSmoother, FixedPoint
-from tracker_motion import constant_velocity
+from tracker_motion import acceleration_input, constant_velocity
 from tracker_sensors import azimuth, position, stack
 
 MOTION = constant_velocity(0.5)
@@ -208,6 +208,73 @@ def test_what_is_older_than_the_window_is_refused_in_words():
     bare = attrs.evolve(window, estimator=attrs.evolve(KF, smoother=None))
     with pytest.raises(CapabilityError, match="smoother='rts'"):
         bare.smoothed()
+
+
+PRIOR = tk.Gaussian(np.zeros(4), np.eye(4))
+
+
+def test_what_is_older_than_the_prior_needs_an_older_prior_and_no_longer_lag():
+    window = tk.FixedLag.begin(KF, PRIOR, 10.0, lag=1)
+    older = r"9\.0 s; expected a time from 10\.0 s on, that of the prior.* prior of an earlier time"
+    with pytest.raises(DomainError, match=older) as caught:
+        window.step([0.0, 0.0], 9.0)
+    assert "lag" not in str(caught.value).split("begin with")[1].split(":")[0]
+    window = window.step([0.0, 0.0], 11.0).step([0.0, 0.0], 12.0)
+    with pytest.raises(DomainError, match=r"10\.5 s.*11\.0 s on.*lag of more than 1 step\."):
+        window.step([0.0, 0.0], 10.5)
+    with pytest.raises(DomainError, match="that of the prior"):
+        window.at(9.0)
+
+
+@pytest.mark.parametrize("t", [np.nan, np.inf, -np.inf])
+def test_a_time_that_is_not_finite_is_called_that(t):
+    window = tk.FixedLag.begin(KF, PRIOR, lag=3)
+    for refused in (
+        lambda: window.step([0.0, 0.0], t),
+        lambda: window.at(t),
+        lambda: tk.FixedLag.begin(KF, PRIOR, t),
+    ):
+        with pytest.raises(DomainError, match="finite number of seconds") as caught:
+            refused()
+        assert "lag" not in str(caught.value)
+
+
+@pytest.mark.parametrize("lag", [2.5, np.nan, "3", None, True, -1])
+def test_a_lag_is_a_whole_number_of_steps_and_not_of_seconds(lag):
+    words = r"'lag'.*whole number of steps.*not in seconds"
+    for refused in (
+        lambda: tk.FixedLag.begin(KF, PRIOR, lag=lag),
+        lambda: attrs.evolve(tk.FixedLag.begin(KF, PRIOR), lag=lag),
+        lambda: tk.smoothers.make("fixed_lag", lag=lag),
+    ):
+        with pytest.raises(DomainError, match=words):
+            refused()
+    assert tk.FixedLag.begin(KF, PRIOR, lag=np.int64(3)).lag == 3
+
+
+def test_what_is_masked_was_not_measured():
+    window = tk.FixedLag.begin(KF, PRIOR, lag=3)
+    masked = window.step(np.ma.array([1.0, 2.0], mask=[False, True]), 1.0)
+    missing = window.step([1.0, np.nan], 1.0)
+    assert np.array_equal(masked.rows[0].z, [1.0, np.nan], equal_nan=True)
+    assert np.array_equal(masked.state.mean, missing.state.mean)
+    assert np.array_equal(masked.state.cov, missing.state.cov)
+    with pytest.raises(DomainError, match=r"'z'.*texts"):
+        window.step(["1", "2"], 1.0)
+
+
+def test_an_input_or_a_pose_that_is_not_finite_is_refused():
+    pushed = tk.estimator("kf", motion=acceleration_input(1.0), sensor=SENSOR)
+    window = tk.FixedLag.begin(pushed, PRIOR, lag=3)
+    for u in ([np.nan, 0.0], [0.0, np.inf], np.ma.array([0.0, 1.0], mask=[False, True])):
+        with pytest.raises(DomainError, match=r"'u'.*finite numbers"):
+            window.step([0.0, 0.0], 1.0, u=u)
+    with pytest.raises(DomainError, match=r"'pose'.*finite numbers"):
+        window.step([0.0, 0.0], 1.0, pose=[np.nan])
+    u = np.array([1.0, 2.0])
+    after = window.step([0.0, 0.0], 1.0, u=u)
+    u[:] = 99.0
+    assert after.rows[0].u.tolist() == [1.0, 2.0]
 
 
 def test_a_window_is_a_value():
