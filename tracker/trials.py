@@ -34,7 +34,7 @@ Place = tuple[str, str]
 ERRORS = frozenset({"squared_error", "nees"})
 """The totals that are differences from the truth."""
 
-TILE_BYTES = 16_000_000
+TILE_BYTES = 32_000_000
 """Of measurements and truths that a compiled call reads: more does not make it faster."""
 
 
@@ -163,7 +163,8 @@ class Trials:
             self.truth = np.reshape(truth, (*np.shape(truth)[:2], runs))
         self.workers, self.draws = workers, draws
         self.reason = compiled.reason(self._lanes(self._present()))
-        self.size = min(together, self._most())
+        tiles = -(-together // self._most())
+        self.size = -(-together // tiles)  # tiles of one size, hardly filled up
         self._idle: list[compiled.Prepared] = []
         self._begins = not self.reason and self._begins_by_numbers()
 
@@ -175,7 +176,8 @@ class Trials:
             lost, and for a setting that a component refuses.
 
         """
-        settings, refused = self._accepted(np.asarray(values, dtype=np.float64))
+        settings = np.array(values, dtype=np.float64)
+        refused = self._refused(settings)
         k, size = settings.shape[1], self.size
         out = np.full((self._count, k, self.runs), np.nan)
         work = self._on_arrays if self.reason else self._compiled
@@ -216,20 +218,20 @@ class Trials:
         bytes_ = 8 * len(self.record) * int(width) * self.runs
         return max(1, TILE_BYTES // bytes_)
 
-    def _accepted(self, values: Array) -> tuple[Array, list[int]]:
-        """The settings, with one that is accepted in place of each that some component refuses."""
-        if not self._refuses(values):
-            return values, []
-        refused = [i for i in range(values.shape[1]) if self._refuses(values[:, i : i + 1])]
-        good = [i for i in range(values.shape[1]) if i not in refused]
+    def _refused(self, settings: Array) -> list[int]:
+        """Which settings some component refuses; in their places is then one that is accepted."""
+        if not self._refuses(settings):
+            return []
+        every = range(settings.shape[1])
+        refused = [i for i in every if self._refuses(settings[:, i : i + 1])]
+        good = [i for i in every if i not in refused]
         if good:
-            values = values.copy()
-            values[:, refused] = values[:, good[:1]]
-        return values, refused
+            settings[:, refused] = settings[:, good[:1]]
+        return refused
 
-    def _refuses(self, values: Array) -> bool:
+    def _refuses(self, settings: Array) -> bool:
         try:
-            _parts(self.estimator, self.places, values)
+            _parts(self.estimator, self.places, settings)
         except TrackerError:
             return True
         return False
@@ -252,10 +254,10 @@ class Trials:
             record, prior, truth = self._repeated(values.shape[1])
             lanes = self._lanes(values)
             ready = compiled.prepared(lanes, record, prior, self.start, keep, truth)
-        for owner, component in _parts(self.estimator, self.places, values).items():
-            known = numbers_of(component)
-            for name in {name for group in self.places for own, name in group if own == owner}:
-                ready.put(f"{owner}.{name}", np.repeat(known[name], self.runs))
+        for group, row in zip(self.places, values, strict=True):
+            repeated = np.repeat(row, self.runs)
+            for owner, name in group:
+                ready.put(f"{owner}.{name}", repeated)
         if self._begins:
             ready.begin(self._lanes(values))
         ready()
