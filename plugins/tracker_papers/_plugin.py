@@ -133,3 +133,15 @@ def tracker_components(registry: Registry) -> None:
             requires={"matplotlib": "tracker-lab[plot]"},
         )
     )
+    registry.add(
+        Component(
+            kind="reproduction",
+            name="paper_4",
+            target="tracker_papers.paper4.study:PaperFour",
+            summary="Fuzzy noise adaptation tuned by GA, PSO, ICA: Tables 3-1 to 5-3, figures, seven claims.",
+            paper="4",
+            equations=("Tables 3-1 to 3-4, 4-1, 5-1 to 5-3", "figures 3-7 to 5-33"),
+            tags=("paper",),
+            requires={"matplotlib": "tracker-lab[plot]"},
+        )
+    )

@@ -195,6 +195,14 @@ class StackedSensors:
         reasons = (getattr(s, "why_opaque", "not written over components") for s in self.sensors)
         return next(filter(None, reasons), "a sensor has a hand-written derivative")
 
+    @property
+    def derivative(self) -> Any:
+        """`jacobian`, if every sensor has one though not all can be traced; else None."""
+        by_hand = (getattr(s, "derivative", None) is not None for s in self.sensors)
+        traced = (not getattr(s, "why_opaque", "opaque") for s in self.sensors)
+        every = all(hand or easy for hand, easy in zip(by_hand, traced, strict=True))
+        return self.jacobian if every else None
+
     def h(self, x: ArrayLike, pose: ArrayLike | None = None) -> Any:
         """The noise-free measurement, ``(m, *batch)``."""
         return _joined(s.h(x, p) for s, p in self._with_poses(pose))

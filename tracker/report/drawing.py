@@ -100,6 +100,7 @@ def svg_and_png(
         for form in forms:
             stream = io.BytesIO()
             picture.savefig(stream, format=form, metadata=without[form])
+            picture.set_layout_engine("none")  # what was laid out once stays where it is
             out.append(stream.getvalue())
     return tuple(out)
 
