@@ -33,6 +33,7 @@ import particles
 import peers
 import sweeps
 import targets
+import tuning
 from common import (
     MICRO,
     NANO,
@@ -292,6 +293,7 @@ def imports() -> None:
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "targets": targets.targets,
+    "tuning": tuning.tuning,
     "family": family.family,
     "particles": particles.particles,
     "optimisers": optimisers.optimisers,
