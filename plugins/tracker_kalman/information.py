@@ -137,7 +137,7 @@ class InformationFilter:
         prior = state.moments()
         seen = projected(prior, sensor, pose) if projection is None else projection
         v = sensor.residual(z, seen.z)
-        _, _, nis, loglik, count = condition(prior.mean, prior.cov, v, seen.S, seen.cross)
+        _, _, nis, loglik, count = condition(prior.mean, None, v, seen.S, seen.cross)
         x = prior.mean
         if getattr(sensor, "linear", False) and not any(sensor.space.circular):
             x = _zeros_like(x)  # h(x) = h(0) + H x, whatever x is

@@ -7,8 +7,16 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.algebra import congruence, dense, gain, product, without_missing
-from tracker.algebra.gaussian import conditioned, predicted, projected
+from tracker.algebra import (
+    condition,
+    congruence,
+    dense,
+    finite,
+    gain,
+    product,
+    without_missing,
+)
+from tracker.algebra.gaussian import predicted, projected
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
@@ -48,14 +56,16 @@ class JosephFilter:
     ) -> tuple[Gaussian, Innovation]:
         """Condition on ``z``; components that are NaN were not measured."""
         seen = self.project(state, sensor, pose) if projection is None else projection
-        whitened, innovation = conditioned(state, sensor, z, seen)
-        S, cross = without_missing(seen.S, seen.cross, innovation.residual)
+        v = sensor.residual(z, seen.z)
+        mean, _, nis, loglik, count = condition(state.mean, None, v, seen.S, seen.cross)
+        S, cross = without_missing(seen.S, seen.cross, v)
         K = gain(cross, S)
         H = dense(linearise(sensor, state.mean, pose)[1])
         keep = _identity_like(state.cov) - product(K, H)
         R = sensor.R(state.mean, pose)
         cov = congruence(keep, state.cov) + congruence(K, R)
-        return Gaussian.trusted(whitened.mean, cov), innovation
+        innovation = Innovation(v, seen.S, nis, loglik, count, finite(nis))
+        return Gaussian.trusted(mean, cov), innovation
 
 
 def _identity_like(cov: Any) -> Any:

@@ -38,7 +38,7 @@ def conditioned_with(
         measured = measured + where(flag, 0.0, 1.0)
     known = S - R
     noise = noise_of(np.asarray(where(missing, 0.0, v)), known, R, measured)
-    _, _, nis, loglik, count = condition(state.mean, state.cov, v, projection.S, projection.cross)
+    _, _, nis, loglik, count = condition(state.mean, None, v, projection.S, projection.cross)
     mean, cov, told, *_ = condition(state.mean, state.cov, v, known + noise, cross)
     nis = where(isnan(told), math.nan, nis)
     return Gaussian.trusted(mean, cov), Innovation(v, projection.S, nis, loglik, count, finite(nis))

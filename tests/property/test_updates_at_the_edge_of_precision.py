@@ -65,15 +65,88 @@ def test_the_likelihood_of_many_tiny_variances_is_finite_and_right(m):
     assert [one, lanes, value] == pytest.approx([expected] * 3, rel=1e-12)
 
 
-def test_the_joseph_form_goes_where_the_default_cannot():
+def interpreted(way, mean, cov, v, S, cross):
+    """`condition` of one run under one of the three interpretations: covariance, nis, loglik."""
+    if way == "one run":
+        _, after, nis, loglik, _ = condition(mean, cov, v, S, cross)
+        return after, nis, loglik
+    if way == "lanes":
+        parts = [a if a is None else a[..., None] for a in (mean, cov, v, S, cross)]
+        _, after, nis, loglik, _ = condition(*parts)
+        return None if after is None else after[..., 0], nis[0], loglik[0]
+    graph, inputs = Graph(), {}
+
+    def nodes(name, values):
+        out = np.empty(values.shape, dtype=object)
+        for place in np.ndindex(*values.shape):
+            label = f"{name}{sorted(place) if name in 'PS' else place}"  # symmetric
+            inputs[label] = values[place]
+            out[place] = graph.input(label)
+        return out
+
+    given = (("x", mean), ("P", cov), ("v", v), ("S", S), ("c", cross))
+    parts = [a if a is None else nodes(name, a) for name, a in given]
+    _, after, nis, loglik, _ = condition(*parts)
+    entries = [] if after is None else after.ravel().tolist()
+    *entries, nis, loglik = evaluate([*entries, nis, loglik], inputs)
+    return None if after is None else np.reshape(entries, after.shape), nis, loglik
+
+
+WAYS = ["one run", "lanes", "components"]
+
+
+def a_measurement_of_one(variances, R):
+    """Arguments of `condition`: independent components, of which the first is measured."""
+    P = np.diag(np.asarray(variances, dtype=float))
+    return np.zeros(len(P)), P, np.array([0.5]), P[:1, :1] + R, P[:, :1]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("R", [1e-6, 1e2, 0.0])
+def test_a_variance_of_which_only_rounding_is_left_is_not_ok(way, R):
+    """It may come out as exactly zero: the filter would be certain of what it hardly knows."""
+    cov, nis, loglik = interpreted(way, *a_measurement_of_one([1e18, 1.0], R))
+    assert not 0.9 < cov[0, 0] / max(R, 1e-9) < 1.1, "the case that this test is for did not occur"
+    assert np.isnan([nis, loglik]).all(), f"variance {cov[0, 0]} of {R} passes for an estimate"
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("variances", [[1.0, 1e18], [1.0, 0.0], [1.0, -1e-17]])
+def test_what_is_not_measured_is_not_lost(way, variances):
+    """A variance of zero, or one that rounding has made negative before, is none of this update's."""
+    cov, nis, _ = interpreted(way, *a_measurement_of_one(variances, 2.0**-40))
+    assert cov[0, 0] == pytest.approx(2.0**-40, rel=1e-3)
+    assert cov[1, 1] == variances[1]
+    assert nis == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_who_finds_the_covariance_by_itself_is_told_the_rest(way):
+    mean, _, v, S, cross = a_measurement_of_one([1e18, 1.0], 1e-6)
+    after, nis, loglik = interpreted(way, mean, None, v, S, cross)
+    assert after is None
+    assert nis == pytest.approx(0.25e-18)
+    assert loglik == pytest.approx(-0.5 * np.log(2.0 * np.pi * 1e18))
+    well = a_measurement_of_one([4.0, 1.0], 1.0)
+    assert interpreted(way, well[0], None, *well[2:])[1:] == interpreted(way, *well)[1:]
+
+
+@pytest.mark.parametrize("variance", [1e12, 1e18])
+@pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_other_forms_go_where_the_default_cannot(variance, batch, compiled, monkeypatch):
+    monkeypatch.setenv("TRACKER_COMPILE", "on" if compiled else "off")
     sensor = tk.sensors.make("position", sigma=1e-3)
     motion = tk.motions.make("constant_velocity", density=0.1)
-    prior = tk.Gaussian(np.zeros(4), np.diag([1e12, 1e12, 1.0, 1.0]))
-    for name in ("ekf1", "ekf1_joseph"):
+    cov = np.diag([variance, variance, 1.0, 1.0])
+    prior = tk.Gaussian(np.zeros((4, *batch)), cov)
+    record = tk.Record(np.zeros(1), np.ones((1, 2, *batch)))
+    told = {}
+    for name in ("ekf1", "ekf1_joseph", "square_root", "information"):
         est = tk.estimator(name, motion=motion, sensor=sensor)
-        state, innovation = est.step(prior, np.array([1.0, 2.0]), 0.0)
-        if name == "ekf1_joseph":
-            assert innovation.ok
-            assert np.diag(state.cov)[:2] == pytest.approx([1e-6, 1e-6], rel=1e-6)
-        else:
-            assert (not innovation.ok) or np.diag(state.cov).min() >= 0
+        history = tk.filter(est, record, prior)
+        told[name] = history.innovation.ok.all()
+        if name != "ekf1":
+            found = history.filtered.cov[0, [0, 1], [0, 1]]
+            np.testing.assert_allclose(found, 1e-6, rtol=1e-6, err_msg=name)
+    assert told == {"ekf1": False, "ekf1_joseph": True, "square_root": True, "information": True}

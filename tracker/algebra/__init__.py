@@ -247,18 +247,19 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
 
     The whitened update: with ``S = L L'``, ``W = L^-1 cross'``, ``y = L^-1 v``, the result is
     ``mean + W' y`` and ``cov - W' W``, symmetric by construction. The subtraction cancels all digits
-    when a measurement is some 1e15 times better than the prior (``H P H' / R``): where a variance
-    then comes out negative, nis and loglik are NaN, so that ``ok`` is False. Use the filter
-    "ekf1_joseph" for such problems.
+    when a measurement is some 1e15 times better than the prior (``H P H' / R``), or has no noise at
+    all: where less than `tracker.algebra.lanes.LEAST` of a variance is left, what is left is
+    rounding, and nis and loglik are NaN, so that ``ok`` is False. Use the filter "ekf1_joseph" or
+    "square_root" for such problems. One that finds its covariance by itself gives None for cov.
 
     Shapes:
-        mean ``(n, *batch)``; cov ``(n, n, *batch)``; v ``(m, *batch)``; S ``(m, m, *batch)``;
+        mean ``(n, *batch)``; cov ``(n, n, *batch)`` or None; v ``(m, *batch)``; S ``(m, m, *batch)``;
         cross ``(n, m, *batch)``.
 
     Returns:
-        mean, cov, nis, loglik, count (of measured components): the last three ``(*batch)``.
+        mean, cov (or None), nis, loglik, count (of measured components): the last three ``(*batch)``.
     """
-    return _of(cov).condition(mean, cov, v, S, cross)  # type: ignore[no-any-return]
+    return _of(S if cov is None else cov).condition(mean, cov, v, S, cross)  # type: ignore[no-any-return]
 
 
 def dense(H: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tracker.algebra.lanes import LOG_TAU, PIVOTS
+from tracker.algebra.lanes import LEAST, LOG_TAU, PIVOTS
 from tracker.models.functions import absolute, isnan, less, log, sqrt, where, wrap
 from tracker.models.graph import is_zero, plain
 
@@ -218,19 +218,24 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         total = total + e
     # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
     nis = where(less(absolute(total), math.inf), _dot(y, scaled), math.nan)
-    updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(over[i], column[j]))
-    # A negative variance where there was none is an error, not an estimate.
-    changed = [i for i in range(n) if updated[i, i] is not cov[i, i]]
-    if changed:
-        before = where(less(_least(cov, changed), 0.0), nis, math.nan)
-        nis = where(less(_least(updated, changed), 0.0), before, nis)
+    updated = None
+    if cov is not None:
+        updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(over[i], column[j]))
+        # A variance of which little but rounding is left; a negative one was lost before.
+        pairs = zip(cov.diagonal(), updated.diagonal(), strict=True)
+        margins = [
+            where(less(before, 0.0), 0.0, after - LEAST * before)
+            for before, after in pairs
+            if after is not before
+        ]
+        nis = where(less(_least(margins), 0.0), math.nan, nis) if margins else nis
     loglik = -0.5 * (nis + (logarithm + log(determinant)) + LOG_TAU * count)
     return new, updated, nis, loglik, count
 
 
-def _least(P: Any, places: list[int]) -> Any:
-    """The smallest of some variances. NaN may be overlooked: the mean tells of it."""
-    out = P[places[0], places[0]]
-    for i in places[1:]:
-        out = where(less(P[i, i], out), P[i, i], out)
+def _least(values: list[Any]) -> Any:
+    """The smallest of some values. NaN may be overlooked: the mean tells of it."""
+    out = values[0]
+    for value in values[1:]:
+        out = where(less(value, out), value, out)
     return out

@@ -20,6 +20,8 @@ LOG_TAU = math.log(2.0 * math.pi)
 PIVOTS = 4
 """Pivots multiplied before their logarithm is taken: a product of many small ones would underflow."""
 
+LEAST = 2.0**-48
+"""An update that leaves less than this of a variance has left little but rounding of it."""
 
 BUFFER = 128
 """Entries in NumPy's working buffer (8,192 by default): whatever broadcasts is copied through it, and
@@ -197,7 +199,6 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     rows: list[list[Any]] = [[None] * m for _ in range(m)]
     W: list[Any] = []
     y: list[Any] = []
-    before = cov
     logarithm: Any = 0.0
     determinant: Any = 1.0
     for k in range(m):
@@ -223,17 +224,20 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         W.append(w * inverse)
         y.append(u * inverse)
     nis: Any = 0.0
+    before = cov
     outer = np.empty((*W[0].shape[:1], *W[0].shape))
     smaller = np.empty_like(outer)
     for w, u in zip(W, y, strict=True):
         mean = mean + w * u
-        cov = np.subtract(cov, np.multiply(w[:, None], w, outer), smaller)
         nis = nis + u * u
+        if cov is not None:
+            cov = np.subtract(cov, np.multiply(w[:, None], w, outer), smaller)
     nis += 0.0 * np.add.reduce(mean, axis=0)  # NaN in a lane whose mean is not finite
-    negative = np.einsum("ii...->i...", cov) < 0.0
-    if np.count_nonzero(negative):
-        negative &= np.einsum("ii...->i...", before) >= 0.0
-        nis = np.where(negative.any(axis=0), math.nan, nis)
+    if cov is not None:
+        lost = cov.diagonal() < LEAST * before.diagonal()
+        if np.count_nonzero(lost):
+            lost &= before.diagonal() >= 0.0  # a negative one was lost before
+            nis = np.where(lost.any(axis=-1), math.nan, nis)
     count = np.add.reduce(seen, axis=0) if masked else np.full(nis.shape, float(m))
     loglik = -0.5 * (nis + (logarithm + np.log(determinant)) + LOG_TAU * count)
     return mean, cov, nis, loglik, count

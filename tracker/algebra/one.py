@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from tracker.algebra import lanes
 from tracker.types import Columns
 
-LOG_TAU = lanes.LOG_TAU
+LEAST, LOG_TAU = lanes.LEAST, lanes.LOG_TAU
 
 
 def _dense(H: Any) -> Any:
@@ -105,15 +105,24 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     L, info = dpotrf(S, 1, 0)
     if info:  # not positive definite: NaN, as in a lane
         nan = np.full_like(mean, math.nan)
-        return nan, np.full_like(cov, math.nan), math.nan, math.nan, float(len(v))
+        lost = None if cov is None else np.full_like(cov, math.nan)
+        return nan, lost, math.nan, math.nan, float(len(v))
     y = dtrtrs(L, v, 1)[0]
     W = dtrtrs(L, HP, 1)[0]
     mean = mean + y.dot(W)
     nis = float(y.dot(y)) + 0.0 * sum(mean.tolist())  # NaN where the mean is not finite
     # A product of many small pivots would underflow to zero.
     loglik = -0.5 * (nis + 2.0 * sum(map(math.log, L.diagonal().tolist())) + LOG_TAU * len(v))
+    if cov is None:
+        return mean, None, nis, loglik, float(len(v))
     updated = cov - W.T.dot(W)
-    # Lists: for few entries they are searched faster than arrays.
-    if min(updated.diagonal().tolist()) < 0.0 <= min(cov.diagonal().tolist()):
+    # Lists: for few entries they are searched faster than arrays; mostly the extremes tell enough.
+    after, before = updated.diagonal().tolist(), cov.diagonal().tolist()
+    if min(after) < LEAST * max(before) and _lost(after, before):
         nis = loglik = math.nan
     return mean, updated, nis, loglik, float(len(v))
+
+
+def _lost(after: list[float], before: list[float]) -> bool:
+    """Whether little but rounding is left of a variance; a negative one was lost before."""
+    return any(a < LEAST * b for a, b in zip(after, before, strict=True) if b >= 0.0)
