@@ -218,7 +218,15 @@ def _either(one: tuple[int, ...], other: tuple[int, ...]) -> str:
     return f"{one}" if one == other else f"{one} or {other}"
 
 
-def _checked_covariance(cov: Array, mean: Array) -> Array:
+def checked_covariance(cov: Array, mean: Array, name: str = "cov") -> Array:
+    """A covariance for each state of a batch; lanes that are not finite are left as they are.
+
+    Shapes:
+        cov ``(n, n)`` or ``(n, n, *batch)``; mean ``(n, *batch)``; result ``(n, n, *batch)``.
+
+    Raises:
+        ShapeError, DomainError: as `Gaussian`.
+    """
     n, batch = mean.shape[0], mean.shape[1:]
     shapes = _either((n, n), (n, n, *batch))
     expected = f"shape {shapes}, to match mean of shape {mean.shape}"
@@ -227,7 +235,7 @@ def _checked_covariance(cov: Array, mean: Array) -> Array:
     if cov.shape != (n, n, *batch):
         raise ShapeError(
             wording(
-                "argument 'cov'",
+                f"argument {name!r}",
                 got=f"shape {cov.shape}",
                 expected=expected,
                 do="put the two matrix axes first and the batch axes last",
@@ -237,7 +245,7 @@ def _checked_covariance(cov: Array, mean: Array) -> Array:
     if not batch and not finite:
         raise DomainError(
             wording(
-                "argument 'cov'",
+                f"argument {name!r}",
                 got="NaN or inf",
                 expected="finite numbers in a single state",
                 do="check how the covariance was computed",
@@ -251,7 +259,7 @@ def _checked_covariance(cov: Array, mean: Array) -> Array:
         if (asymmetry > 1e-9 * scale).any():
             raise DomainError(
                 wording(
-                    "argument 'cov'",
+                    f"argument {name!r}",
                     got=f"an asymmetry of {float(asymmetry.max()):.3g}",
                     expected="a symmetric matrix (to 1e-9 of its largest entry)",
                     do="pass (cov + cov.swapaxes(0, 1)) / 2 if rounding made it so",
@@ -261,7 +269,7 @@ def _checked_covariance(cov: Array, mean: Array) -> Array:
         if (lowest < -1e-9 * scale).any():
             raise DomainError(
                 wording(
-                    "argument 'cov'",
+                    f"argument {name!r}",
                     got=f"a smallest eigenvalue of {float(lowest.min()):.3g}",
                     expected="a positive semi-definite matrix",
                     do="check signs and that sigmas were squared",
@@ -329,7 +337,7 @@ class Gaussian:
                     do="check how the mean was computed",
                 )
             )
-        self.__attrs_init__(mean, _checked_covariance(as_array(cov, "cov"), mean))
+        self.__attrs_init__(mean, checked_covariance(as_array(cov, "cov"), mean))
 
     @classmethod
     def trusted(cls, mean: Array, cov: Array) -> Gaussian:

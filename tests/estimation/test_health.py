@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 
 import tracker as tk
+from tracker.errors import CapabilityError, DomainError, ShapeError
+from tracker.metrics.bounds import posterior_bound, scenario_bound
 from tracker.metrics.consistency import whiteness
 from tracker.metrics.observability import (
     noise_free_path,
@@ -276,3 +278,130 @@ def test_a_run_that_diverged_says_so():
 def test_a_history_made_by_hand_is_summed_up_as_far_as_it_goes():
     history = attrs.evolve(run_of(walking(30), runs=2), run=None)
     assert "unknown: no record" in history.summary()
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (0,), (2, 0)], ids=str)
+@pytest.mark.parametrize("steps", [0, 1, 2, 3])
+def test_however_little_there_is_a_summary_and_no_warning_of_numpy_s(steps, batch):
+    # A warning that leaks is an error under this suite's settings.
+    z = np.random.default_rng(1).normal(0.0, 3.0, (steps, 2, *batch))
+    est = tk.estimator("kf", motion=WALK, sensor=FIX)
+    prior = tk.Gaussian(np.zeros(4), np.diag([9.0, 9.0, 1.0, 1.0]))
+    history = tk.filter(est, tk.Record(np.arange(float(steps)), z), prior)
+    told = history.summary()
+    assert "nan if white" not in told
+    assert "correlation +nan" not in told
+    if not z.size:
+        assert history.warnings() == []
+        assert "observability  unknown: nothing was filtered" in told
+    assert ("correlation" in told) == (z.size > 0 and steps > 1)
+
+
+def test_a_correlation_is_that_of_the_lanes_that_have_one():
+    told = run_of(walking(2), runs=40).innovation
+    found = whiteness(told)
+    assert np.isnan(found.correlations[1:]).all()
+    assert found.together.correlations[0] == pytest.approx(found.correlations[0].mean())
+    assert np.isnan(found.together.correlations[1:]).all()
+
+
+def test_directions_that_are_not_seen_are_counted_and_said_in_english():
+    record = tk.Record([0.0], np.zeros((1, 2)))
+    prior = tk.Gaussian(np.zeros(4), np.diag([9.0, 9.0, 1.0, 1.0]))
+    history = tk.filter(tk.estimator("kf", motion=WALK, sensor=FIX), record, prior)
+    told = history.summary()
+    assert "rank 2 of 4; of 2 directions the record says next to nothing" in told
+    blind = [words for words in history.warnings() if "unobservable" in words]
+    assert len(blind) == 2
+    for words, axis in zip(blind, ("vx", "vy"), strict=True):
+        assert (
+            f"a target with another state ({axis} +1 m/s at the first measurement) would have given "
+            "all but the same measurements" in words
+        )
+
+
+# ---------------------------------------------------- questions along a path that make no sense
+TIMES, PATH, UNIT = np.arange(5.0), np.zeros((5, 4)) + np.array([300.0, 400.0, 1.0, 0.0]), np.eye(4)
+SHARP = position(0.01)
+
+
+def asked_of_bound(sensors=FIX, t=TIMES, states=PATH, cov=UNIT, **more):
+    return posterior_bound(WALK, sensors, t, states[..., None], cov, **more).position
+
+
+def asked_of_record(sensors=FIX, t=TIMES, states=PATH, cov=UNIT, **more):
+    return observability(WALK, sensors, t, states, cov, **more).ratios
+
+
+BOTH = pytest.mark.parametrize("asked", [asked_of_bound, asked_of_record])
+WRONG = {
+    "which of several sensors is not said": (
+        {"sensors": [FIX, SHARP]}, DomainError, r"'sensor': got nothing; expected which of the 2"),
+    "a sensor that is not there": (
+        {"sensors": [FIX, SHARP], "sensor": [0, 1, 0, 0, 7]}, DomainError, r"sensor 7.*0 to 1"),
+    "a sensor counted from the end": (
+        {"sensors": [FIX, SHARP], "sensor": [0, 1, 0, 0, -1]}, DomainError, r"sensor -1"),
+    "too few places of sensors": (
+        {"sensors": [FIX, SHARP], "sensor": [0, 1]}, ShapeError, r"integers of shape \(5,\)"),
+    "the name of a sensor": ({"sensors": "position"}, CapabilityError, r"tracker\.sensors\.make"),
+    "no sensor": ({"sensors": []}, CapabilityError, r"'sensors': got none"),
+    "times that run backwards": ({"t": TIMES[::-1]}, DomainError, r"never decrease"),
+    "a time that is not known": ({"t": TIMES * np.nan}, DomainError, r"finite seconds"),
+    "too few times": ({"t": TIMES[:3]}, ShapeError, r"'t': got shape \(3,\)"),
+    "states of another space": ({"states": PATH[:, :3]}, ShapeError, r"vy \[m/s\]"),
+    "a negative covariance": ({"cov": -UNIT}, DomainError, r"smallest eigenvalue of -1"),
+    "variances instead of a covariance": ({"cov": np.ones(4)}, ShapeError, r"np\.diag"),
+    "an asymmetric covariance": ({"cov": np.arange(16.0).reshape(4, 4)}, DomainError, "asymmetry"),
+    "a Gaussian": ({"cov": tk.Gaussian(np.zeros(4), UNIT)}, DomainError, r"\.cov"),
+    "the class of Gaussians": ({"cov": tk.Gaussian}, DomainError, r"\.cov"),
+    "too few poses": (
+        {"sensors": azimuth(0.1), "pose": np.zeros((3, 2))}, ShapeError, r"'pose'.*\(5, 2, \.\.\.\)"),
+    "one pose without time": (
+        {"sensors": azimuth(0.1), "pose": np.zeros(2)}, ShapeError, r"'pose'.*\(5, 2, \.\.\.\)"),
+    "too few flags": ({"measured": np.ones((2, 2), bool)}, ShapeError, r"'measured'"),
+    "too few inputs": ({"u": np.zeros((2, 2))}, ShapeError, r"'u'"),
+}  # fmt: skip
+
+
+@BOTH
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_makes_no_sense_along_a_path_is_refused(asked, wrong):
+    arguments, error, words = WRONG[wrong]
+    with pytest.raises(error, match=words):
+        asked(**arguments)
+
+
+@BOTH
+def test_the_order_of_sensors_does_not_matter_where_it_is_said_which_measured(asked):
+    which = np.array([0, 1, 0, 0, 1])
+    one, other = asked([FIX, SHARP], sensor=which), asked([SHARP, FIX], sensor=1 - which)
+    np.testing.assert_array_equal(one, other)
+    assert not np.array_equal(one, asked([FIX, SHARP], sensor=0 * which))
+
+
+@BOTH
+def test_a_sensor_is_bound_to_the_state_of_the_motion(asked):
+    turn = coordinated_turn(0.1, 0.01)
+    states = np.concatenate([PATH, np.full((5, 1), 0.1)], axis=1)
+    kwargs = {"t": TIMES, "truth": states[..., None], "prior": np.eye(5)}
+    if asked is asked_of_record:
+        kwargs = {"t": TIMES, "states": states, "scale": np.eye(5)}
+    ask = posterior_bound if asked is asked_of_bound else observability
+    loose, bound = ask(turn, FIX, **kwargs), ask(turn, FIX.over(turn.space), **kwargs)
+    for field in ("cov",) if ask is posterior_bound else ("information", "ratios"):
+        np.testing.assert_array_equal(getattr(loose, field), getattr(bound, field))
+
+
+@pytest.mark.parametrize("start", [2.0, np.nan, np.inf, -np.inf, [0.0, 0.0]], ids=str)
+def test_a_bound_begins_no_later_than_its_path(start):
+    with pytest.raises(DomainError, match=r"'start'.*not after the first one at 0\.0 s"):
+        asked_of_bound(start=start)
+
+
+@pytest.mark.parametrize("ask", [scenario_bound, scenario_observability])
+def test_a_scenario_is_no_name_and_has_runs(ask):
+    with pytest.raises(CapabilityError, match=r"'scenario': got 'two_stations'.*tracker\.scenario"):
+        ask("two_stations")
+    for runs in (0, -1, 2.5, True):
+        with pytest.raises(DomainError, match=r"'runs'.*whole number of runs"):
+            ask(tk.scenario("two_stations", steps=5), runs=runs)

@@ -6,7 +6,6 @@ were, that of `errors`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import attrs
@@ -16,8 +15,15 @@ from tracker.algebra import at_once, condition, congruence, dense, factor, trans
 from tracker.algebra import whiten as whitened
 from tracker.errors import DomainError, ShapeError, wording
 from tracker.metrics.observability import noise_free_path, told
+from tracker.metrics.paths import (
+    checked_rows,
+    checked_scenario,
+    checked_sensors,
+    checked_times,
+    covariance_along,
+)
 from tracker.models.linearise import linearise
-from tracker.types import Array, Space, brief
+from tracker.types import EMPTY_SPACE, Array, Space, as_array, brief
 
 
 @attrs.frozen(eq=False)
@@ -67,45 +73,50 @@ def posterior_bound(
 
     Shapes:
         t ``(T,)``; truth ``(T, n, *batch, runs)``: expectations are means over the last axis; prior,
-        the covariance at time ``start`` (by default t[0]), ``(n, n, *batch)`` or ``(n, n)``; pose
-        ``(T, p)``; sensor ``(T,)``, which of ``sensors``; measured ``(T, m, *batch, runs)``, flags;
-        u ``(T, q)``. The state at ``start``, where the first step is linearised, is the one that
+        the covariance at time ``start`` (by default t[0]; never after it), ``(n, n, *batch)`` or
+        ``(n, n)``; pose ``(T, p)``; sensor ``(T,)``, which of several ``sensors``; measured
+        ``(T, m, *batch, runs)``, flags; u ``(T, q)``. The state at ``start``, where the first step is linearised, is the one that
         moves to ``truth[0]`` without noise.
 
     Raises:
-        ShapeError: if truth has no axis of runs, or does not fit t.
-        DomainError: if paths differ in Jacobian where the process noise is singular: no such bound
-            exists then.
+        ShapeError: if truth has no axis of runs, or something does not fit t.
+        DomainError: if times run backwards, the prior is no covariance, or it is not said which of
+            several sensors measured; if paths differ in Jacobian where the process noise is singular:
+            no such bound exists then.
     Reference:
         Tichavský, Muravchik and Nehorai (1998), Posterior Cramér-Rao bounds for discrete-time nonlinear
         filtering, eq. 21 and section IV-A.
     """
-    paths, times = np.asarray(truth, dtype=np.float64), np.asarray(t, dtype=np.float64)
-    if paths.ndim < 3 or len(paths) != len(times) or not len(times):
+    paths, n = as_array(truth, "truth"), motion.space.size
+    if paths.ndim < 3 or paths.shape[1] != n or not paths.size:
         raise ShapeError(
             wording(
                 "argument 'truth'",
-                got=f"shape {paths.shape} for {len(times)} times",
-                expected="(T, n, *batch, runs), at least one time and one run",
+                got=f"shape {paths.shape}",
+                expected=f"(T, {n}, *batch, runs), at least one time and one run, of states "
+                f"({motion.space})",
                 do="add an axis of length 1 for a single path: truth[..., None]",
             )
         )
-    n, batch = paths.shape[1], paths.shape[2:-1]
-    models = list(sensors) if isinstance(sensors, Sequence) else [sensors]
-    C = np.asarray(prior, dtype=np.float64)
-    C = np.broadcast_to(C.reshape(*C.shape, *(1,) * (len(batch) + 2 - C.ndim)), (n, n, *batch))
+    batch = paths.shape[2:-1]
+    times = checked_times(t, len(paths))
+    models, which = checked_sensors(motion, sensors, sensor, len(paths))
+    pose = checked_rows("pose", pose, len(paths), max(m.pose_space.size for m in models))
+    measured = checked_rows("measured", measured, len(paths), max(m.space.size for m in models))
+    u = checked_rows("u", u, len(paths), getattr(motion, "input_space", EMPTY_SPACE).size)
+    C = covariance_along("prior", prior, n, batch)
     out = np.empty((len(times), n, n, *batch))
-    begin = float(times[0] if start is None else start)
+    begin = _begin(start, float(times[0]))
     with at_once():
         x, before = _at(motion, begin, times, paths, u), begin
         for k, now in enumerate(times.tolist()):
-            given = None if u is None else np.asarray(u)[k]
+            given = None if u is None else u[k]
             C = _predicted(motion, x, C, now - before, given, before)
             x, before = paths[k], now
-            model = models[0 if sensor is None else int(sensor[k])]
+            model = models[which[k]]
             size = model.pose_space.size
-            where = None if pose is None or not size else np.asarray(pose)[k, :size]
-            seen = None if measured is None else np.asarray(measured)[k]
+            where = None if pose is None or not size else pose[k, :size]
+            seen = None if measured is None else measured[k]
             C = _known(C, told(model, x, where, seen))
             out[k] = C
     return Bound(motion.space, times, out)
@@ -114,12 +125,16 @@ def posterior_bound(
 def scenario_bound(scenario: Any, runs: int = 100, seed: int = 0) -> Bound:
     """The bound of a scenario over some of its simulated runs, missed detections included.
 
+    Raises:
+        CapabilityError: if it is no scenario. DomainError: if there is no run.
+
     Example:
     >>> import tracker as tk
     >>> bound = scenario_bound(tk.scenario("two_stations", steps=100), runs=20)
     >>> bound.position.shape, bool(bound.position[-1] < bound.position[0])
     ((100,), True)
     """
+    checked_scenario(scenario, runs)
     made = scenario.simulate(seed, runs)
     return posterior_bound(
         scenario.motion,
@@ -134,11 +149,26 @@ def scenario_bound(scenario: Any, runs: int = 100, seed: int = 0) -> Bound:
 
 
 # ---------------------------------------------------------------------------------- inside
+def _begin(start: Any, first: float) -> float:
+    """The time of the prior."""
+    begin = as_array(first if start is None else start, "start")
+    if begin.ndim or not -np.inf < begin <= first:
+        raise DomainError(
+            wording(
+                "argument 'start'",
+                got=f"{start} s",
+                expected=f"one time, not after the first one at {first} s",
+                do="cut the path, or move the prior",
+            )
+        )
+    return float(begin)
+
+
 def _at(motion: Any, begin: float, times: Array, paths: Array, u: Any) -> Any:
     """The states at the time of the prior."""
     if begin == times[0]:
         return paths[0]
-    given = None if u is None else np.asarray(u)[[0, 0]]
+    given = None if u is None else u[[0, 0]]
     both = np.array([begin, times[0]])
     return noise_free_path(motion, both, np.stack([paths[0], paths[0]]), given)[0]
 

@@ -132,13 +132,12 @@ class Whiteness:
         """All lanes, which are independent, as one; those that are not finite are left out."""
         good = np.isfinite(self.statistic) & (self.degrees > 0)
         lanes = tuple(range(1, np.ndim(self.correlations)))
+        known = good & np.isfinite(self.correlations)  # a short record has few lags
         with np.errstate(all="ignore"):
             return Whiteness(
                 np.where(good, self.statistic, 0.0).sum(),
                 np.where(good, self.degrees, 0.0).sum(),
-                np.nanmean(np.where(good, self.correlations, np.nan), axis=lanes)
-                if np.any(good)
-                else np.full(len(self.correlations), np.nan),
+                np.where(known, self.correlations, 0.0).sum(axis=lanes) / known.sum(axis=lanes),
             )
 
 

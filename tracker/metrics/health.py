@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tracker.errors import TrackerError
-from tracker.metrics.consistency import Band, chi_square_band, whiteness
+from tracker.metrics.consistency import Band, Whiteness, chi_square_band, whiteness
 from tracker.metrics.observability import (
     LITTLE,
     Observability,
@@ -46,7 +46,7 @@ def observability_of(history: History) -> Observability | None:
     A history remembers the record and the estimator it came from (`tracker.types.Run`).
     """
     run = history.run
-    if run is None or not len(history):
+    if run is None or not history.filtered.mean.size:
         return None
     batch, built = history.filtered.batch, run.estimator
     index: Any = None
@@ -98,7 +98,9 @@ def warnings(history: History) -> list[str]:
             f"[{band.low:.3g}, {band.high:.3g}]: innovations are {than} than the filter thinks."
         )
     white = whiteness(history.innovation).together
-    size = float(np.nanmax(np.abs(white.correlations), initial=0.0))
+    size = float(
+        np.max(np.abs(white.correlations), where=np.isfinite(white.correlations), initial=0.0)
+    )
     if white.probability < FALSE_ALARM and size > MATTERS:
         next_step = float(white.correlations[0])
         hint = (
@@ -121,25 +123,32 @@ def summary(history: History) -> str:
     n = history.filtered.mean.shape[1]
     nis, band = nis_of(history)
     white = whiteness(history.innovation).together
-    chance = f"probability {float(white.probability):.2g} if white"
     lines = [
         f"History: {len(history)} steps, {n} states{lanes}, {kind}",
         f"NIS / m        {nis:.4g} [{band.low:.4g}, {band.high:.4g}] {band.verdict(nis)}",
-        f"innovations    correlation {_shown(white.correlations)}, {chance}",
-        f"observability  {_seen(observability_of(history))}",
+        f"innovations    {_coloured(white)}",
+        f"observability  {_seen(observability_of(history), history)}",
     ]
     return "\n".join(lines + [f"Warning: {words}" for words in warnings(history)])
 
 
-def _shown(correlations: Any) -> str:
-    return f"{float(correlations[0]):+.3f}" if len(correlations) else "unknown"
+def _coloured(white: Whiteness) -> str:
+    if not white.degrees > 0:
+        return "unknown: no two that could be compared"
+    chance = f"probability {float(white.probability):.2g} if white"
+    return f"correlation {float(white.correlations[0]):+.3f}, {chance}"
 
 
-def _seen(found: Observability | None) -> str:
+def _seen(found: Observability | None, history: History) -> str:
     if found is None:
+        if not history.filtered.mean.size:
+            return "unknown: nothing was filtered"
         return "unknown: no record, or models without derivatives"
-    least = float(np.nanmedian(found.ratios[0])) if np.isfinite(found.ratios[0]).any() else np.nan
-    rank = f"rank {int(np.median(found.rank))} of {len(found.ratios)}"
+    known = found.ratios[0][np.isfinite(found.ratios[0])]
+    least = float(np.median(known)) if known.size else np.nan
+    full = len(found.ratios)
+    rank = int(np.median(found.rank))
     if least < LITTLE:
-        return f"{rank}; of one direction the record says next to nothing"
-    return f"{rank}; {least:.3g} times as much as the prior of the direction that is seen least"
+        blind = f"{full - rank} directions" if full - rank > 1 else "one direction"
+        return f"rank {rank} of {full}; of {blind} the record says next to nothing"
+    return f"rank {rank} of {full}; {least:.3g} times as much as the prior of the direction that is seen least"

@@ -14,8 +14,15 @@ import numpy as np
 
 from tracker.algebra import at_once, dense, factor, transpose, whiten
 from tracker.errors import ShapeError, TrackerError, wording
+from tracker.metrics.paths import (
+    checked_rows,
+    checked_scenario,
+    checked_sensors,
+    checked_times,
+    covariance_along,
+)
 from tracker.models.linearise import linearise
-from tracker.types import Array, Space, brief
+from tracker.types import EMPTY_SPACE, Array, Space, as_array, brief
 
 LITTLE = 1e-3
 """A direction counts as unobservable if the record says less of it than this times what the prior did."""
@@ -100,7 +107,7 @@ class Observability:
             what = (
                 "the range is unobservable: a target moved along its line of sight"
                 if self.along_sight[(i, *lane)]
-                else "a direction of the state is unobservable: a target changed"
+                else "a direction of the state is unobservable: a target with another state"
             )
             out.append(
                 f"{what} ({change} at the first measurement) would have given all but the same "
@@ -150,29 +157,36 @@ def observability(
     information where there is none.
 
     Shapes:
-        t ``(T,)`` or ``(T, *batch)``; states ``(T, n, *batch)``; scale ``(n, n, *batch)``, a
-        covariance that says what a large change is (of a prior); pose ``(T, p, *batch)``; sensor
-        ``(T,)``, which of ``sensors``; measured ``(T, m, *batch)``, flags; u ``(T, q, *batch)``.
+        t ``(T,)`` or ``(T, *batch)``; states ``(T, n, *batch)``; scale ``(n, n)`` or
+        ``(n, n, *batch)``, a covariance that says what a large change is (of a prior); pose
+        ``(T, p, *batch)``; sensor ``(T,)``, which of several ``sensors``; measured
+        ``(T, m, *batch)``, flags; u ``(T, q, *batch)``.
 
     Raises:
-        ShapeError: if states and times do not fit.
+        ShapeError: if states, times and what goes with them do not fit.
+        DomainError: if times run backwards, scale is no covariance, or it is not said which of
+            several sensors measured.
     Reference:
         Bar-Shalom, Li and Kirubarajan (2001), section 2.7.4 and eq. 10.3.4-9; Maybeck (1979),
         Stochastic Models, Estimation and Control 1, section 5.7.
     """
-    path, steps = np.moveaxis(np.asarray(states, dtype=np.float64), 0, 1), len(states)
-    n, batch = len(path), path.shape[2:]
-    if not steps or len(t) != steps:
+    given, n = as_array(states, "states"), motion.space.size
+    if given.ndim < 2 or given.shape[1] != n or not len(given):
         raise ShapeError(
             wording(
                 "argument 'states'",
-                got=f"{steps} states and {len(t)} times",
-                expected="one state per time, at least one",
-                do="pass states of shape (T, n, *batch)",
+                got=f"shape {given.shape}",
+                expected=f"(T, {n}, *batch), at least one time: {motion.space}",
+                do="put time first, components second",
             )
         )
-    models = list(sensors) if isinstance(sensors, Sequence) else [sensors]
-    which = np.zeros(steps, dtype=np.intp) if sensor is None else np.asarray(sensor)
+    path, steps, batch = np.moveaxis(given, 0, 1), len(given), given.shape[2:]
+    t = checked_times(t, steps, batch)
+    models, which = checked_sensors(motion, sensors, sensor, steps)
+    pose = checked_rows("pose", pose, steps, max(m.pose_space.size for m in models))
+    measured = checked_rows("measured", measured, steps, max(m.space.size for m in models))
+    u = checked_rows("u", u, steps, getattr(motion, "input_space", EMPTY_SPACE).size)
+    whole = covariance_along("scale", scale, n, batch)
     information = np.zeros((n, n, *batch))
     with at_once():
         Phi = transitions(motion, t, path, u)
@@ -180,17 +194,16 @@ def observability(
             rows = np.flatnonzero(which == i)
             if rows.size:
                 where = _pose_of(model, pose, rows, len(batch))
-                mask = None if measured is None else np.moveaxis(np.asarray(measured)[rows], 0, 1)
+                mask = None if measured is None else np.moveaxis(measured[rows], 0, 1)
                 part = told(model, path[:, rows], where, mask, weighted=weighted)
                 seen = np.einsum("mn...,nj...->mj...", part, Phi[:, :, rows])
                 information += np.einsum("mit...,mjt...->ij...", seen, seen)
-        root = factor(np.broadcast_to(_lanes(scale, len(batch)), (n, n, *batch)))
+        root = factor(whole)
         half = np.einsum("ji...,jk...->ik...", root, information)
         ratios, vectors = _eigen(np.einsum("ik...,kj...->ij...", half, root))
         directions = np.einsum("ij...,jk...->ik...", root, vectors)
         ratios, directions = _known_last(ratios, directions)
         sight = _along_sight(motion.space, models, which, pose, path, Phi, directions)
-    whole = np.broadcast_to(_lanes(scale, len(batch)), information.shape)
     return Observability(motion.space, information, whole, ratios, directions, sight)
 
 
@@ -261,11 +274,6 @@ def told(
 
 
 # ---------------------------------------------------------------------------------- inside
-def _lanes(matrix: Any, lanes: int) -> Array:
-    values = np.asarray(matrix, dtype=np.float64)
-    return values.reshape(*values.shape, *(1,) * (lanes + 2 - values.ndim))
-
-
 def _pose_of(sensor: Any, pose: Any, rows: Any, lanes: int) -> Any:
     size = sensor.pose_space.size
     if not size or pose is None:
@@ -312,7 +320,11 @@ def scenario_observability(scenario: Any, runs: int = 8, seed: int = 0) -> Obser
 
     A scenario whose target follows a given path is judged along that path. None if a model has no
     derivatives.
+
+    Raises:
+        CapabilityError: if it is no scenario. DomainError: if there is no run.
     """
+    checked_scenario(scenario, runs)
     motion = scenario.true_motion
     made = scenario.simulate(seed, runs if scenario.path is None else 1)
     path = np.array(made.truth)
