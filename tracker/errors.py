@@ -1,7 +1,7 @@
 """Every error the framework raises on purpose; numerical failures of single lanes are flagged, never raised.
 
 A message follows the house form *what - got - expected - do this*, so that it can be acted on without
-reading the source. Nothing but exception classes and the function that words them belongs here.
+reading the source. Nothing but exception classes and the functions that word them belongs here.
 """
 
 from __future__ import annotations
@@ -37,6 +37,16 @@ class PluginError(TrackerError, RuntimeError):
 
 class ConfigError(TrackerError, ValueError):
     """A configuration file is wrong; the message carries file, line and path where they are known."""
+
+
+def a_or_an(noun: str) -> str:
+    """A noun with its article.
+
+    Example:
+    >>> a_or_an("filter"), a_or_an("adapter")
+    ('a filter', 'an adapter')
+    """
+    return f"an {noun}" if noun[:1] in "aeio" else f"a {noun}"
 
 
 def wording(what: str, *, got: object, expected: str, do: str) -> str:

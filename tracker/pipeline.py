@@ -15,7 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tracker.algebra import mahalanobis
-from tracker.errors import CapabilityError, DomainError, ShapeError, TrackerError, wording
+from tracker.errors import (
+    CapabilityError,
+    DomainError,
+    ShapeError,
+    TrackerError,
+    a_or_an,
+    wording,
+)
 from tracker.estimation import lacking
 from tracker.protocols import Associator, Filter, Gate, MotionModel, SensorModel
 from tracker.types import Array, Innovation, Projection, Scan, Tracks
@@ -270,8 +277,8 @@ def _unfit(pipeline: Pipeline, bound: dict[str, SensorModel]) -> list[str]:
         wording(
             label,
             got=f"no {', '.join(lacks)}",
-            expected=f"what tracker.protocols asks of a {role}",
-            do=f"pass a {role}, or complete it",
+            expected=f"what tracker.protocols asks of {a_or_an(role)}",
+            do=f"pass {a_or_an(role)}, or complete it",
         )
         for role, label, part in parts
         if (lacks := [name for name in _OFFERS[role] if not hasattr(part, name)])

@@ -27,7 +27,14 @@ import attrs
 import pluggy
 
 from tracker import hookspecs
-from tracker.errors import ConfigError, PluginError, TrackerError, UnknownComponent, wording
+from tracker.errors import (
+    ConfigError,
+    PluginError,
+    TrackerError,
+    UnknownComponent,
+    a_or_an,
+    wording,
+)
 from tracker.parameters import Parameter, declared_parameters, parameters_of
 
 if TYPE_CHECKING:
@@ -486,8 +493,8 @@ class Registry:
         names = sorted({component.name for component in self.search(kind=kind)})
         elsewhere = [component.kind for component in self if component.name == name]
         message = wording(
-            f"name of a {kind or 'component'}",
-            got=f"{name!r}, which is a {' and a '.join(elsewhere)}"
+            f"name of {a_or_an(kind or 'component')}",
+            got=f"{name!r}, which is {' and '.join(map(a_or_an, elsewhere))}"
             if elsewhere
             else _did_you_mean(name, names),
             expected=f"one of {_listed(names)}",

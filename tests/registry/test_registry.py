@@ -103,6 +103,17 @@ def test_a_name_of_another_kind_is_pointed_out() -> None:
         registry.get("filter", "rts")
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_has_its_article(kind: str) -> None:
+    other = next(k for k in ("optimiser", "filter") if k != kind)
+    registry = filled(component("mine", kind=other))
+    with pytest.raises(UnknownComponent) as caught:
+        registry.get(kind, "mine")
+    article = "an" if kind in {"adapter", "associator", "initiator", "optimiser"} else "a"
+    assert str(caught.value).startswith(f"name of {article} {kind}: ")
+    assert f"which is {'a filter' if other == 'filter' else 'an optimiser'}" in str(caught.value)
+
+
 def test_an_unknown_kind_is_refused_with_a_suggestion() -> None:
     with pytest.raises(PluginError, match="did you mean 'optimiser'"):
         component("ga", kind="optimizer")

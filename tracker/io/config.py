@@ -22,6 +22,7 @@ from tracker.errors import (
     PluginError,
     TrackerError,
     UnknownComponent,
+    a_or_an,
     wording,
 )
 from tracker.io import toml
@@ -258,7 +259,7 @@ def _sets(table: toml.Table, sensors: Mapping[str, object]) -> tuple[SensorSet, 
 # ---------------------------------------------------------------------------- the components
 def _part(table: toml.Table, catalogue: registry.Catalogue[T]) -> Part[T]:
     """Make the component that a table names, from the table's other keys."""
-    name = table.text("name", expected=f"the name of a {catalogue.kind}, as in the registry")
+    name = table.text("name", expected=f"the name of {a_or_an(catalogue.kind)}, as in the registry")
     try:
         component = catalogue[name]
     except UnknownComponent as error:  # it suggests a name, and tells of plugins that failed
