@@ -291,7 +291,9 @@ def merged(belief: GaussianSum, cost: float, rule: Any) -> GaussianSum:
         told = sums.reshape(flat[1:]) * _logdet(cov)
         told = told - both[0].reshape(flat[1:]) * single[first]
         told = 0.5 * (told - both[1].reshape(flat[1:]) * single[second])
-    told = np.where(np.isfinite(told), told, math.inf)
+    # One that was given up costs nothing to merge, and would always be chosen.
+    alive = (both > 0.0).all(axis=0).reshape(flat[1:])
+    told = np.where(np.isfinite(told) & alive, told, math.inf)
     best = np.argmin(told, axis=0)
     lanes = np.arange(len(best))
     done = lanes[told[best, lanes] < cost]

@@ -296,3 +296,16 @@ def test_ranges_must_be_in_order():
     with pytest.raises(DomainError, match="farthest"):
         RangeParameterised(farthest=np.inf)
     assert SPATIAL.position == (0, 1, 2)
+
+
+def test_merging_goes_on_after_a_member_was_given_up():
+    """Its place weighs nothing, so that merging it would cost nothing, and change nothing."""
+    rule = GaussianSumFilter("ekf1")
+    mean = np.array([[0.0, 0.1, 10.0, 10.1, 20.0]])
+    state = tk.Gaussian.trusted(mean, np.ones((1, 1, 5)))
+    belief = GaussianSum(state, np.full(5, -np.log(5.0)), (False,))
+    for _ in range(3):
+        belief = merged(belief, 0.5, rule.filter)
+    assert np.sort(belief.weights) == pytest.approx([0.0, 0.0, 0.2, 0.4, 0.4]), (
+        "two pairs are close"
+    )
