@@ -12,7 +12,7 @@ from tracker.algebra import congruence, dense, product, residual
 from tracker.errors import CapabilityError, wording
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel
-from tracker.types import Array, Gaussian, History, Trajectory
+from tracker.types import Array, Beliefs, Gaussian, History, Trajectory
 from tracker_kalman.imm import ModeMixture, embedded, mixed, modes_of, part, posterior
 
 CERTAIN = 1e-13
@@ -49,7 +49,11 @@ class ModeSmoother:
     why_opaque = "it looks at the eigenvectors of covariances"
 
     def smooth(self, history: History, motion: MotionModel) -> History:
-        """The history with its ``smoothed`` trajectory; the last step equals the filter."""
+        """The history with its ``smoothed`` trajectory, and the smoothed modes in its beliefs.
+
+        ``history.beliefs.smoothed[k].probabilities`` ``(modes, *batch)`` are those of the modes at step
+        k, given the whole record. The last step equals the filter.
+        """
         return self.modes(history, motion)[0]
 
     def modes(
@@ -69,8 +73,9 @@ class ModeSmoother:
                 done.append(state)
                 moments = state.moments()
                 mean[k], cov[k] = moments.mean, moments.cov
-        out = attrs.evolve(history, smoothed=Trajectory(mean, cov))
-        return out, tuple(reversed(done))
+        known = tuple(reversed(done))
+        beliefs = Beliefs(tuple(predicted), tuple(filtered), known)
+        return attrs.evolve(history, smoothed=Trajectory(mean, cov), beliefs=beliefs), known
 
 
 def _back(
@@ -100,8 +105,11 @@ def _back(
             told.append(fit)
         came = [chances[i][j] * filtered.probabilities[i] for i in range(count)]
         shares, _ = posterior(came, told)
+        chance = smoothed.probabilities[
+            j
+        ]  # zero where nothing leads to j, which has no shares then
         for i in range(count):
-            joint[i][j] = shares[i] * smoothed.probabilities[j]
+            joint[i][j] = np.where(chance == 0.0, 0.0, shares[i] * chance)
     members, probabilities = [], []
     for i, own in enumerate(filtered.places):
         total = sum(joint[i][1:], joint[i][0])

@@ -463,3 +463,14 @@ def test_a_heading_is_mixed_across_the_cut():
         error = wrapped(history.estimate.mean[:, 0] - truth)
         assert np.abs(error).max() < 0.4
         assert history.estimate.cov[:, 0, 0].max() < 0.1
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_a_mode_that_nothing_leads_to_is_no_reason_to_smooth_nothing(batch):
+    modes = [constant_velocity(0.01), constant_velocity(1.0)]
+    motion = switching(modes, np.eye(2), initial=[1.0, 0.0])
+    prior, measured = tk.Gaussian(np.zeros(4), np.eye(4)), record(batch)
+    found = run(motion, smoother="imm_smoother", prior=prior, measured=measured).smoothed
+    alone = run(modes[0], "ekf1", smoother="rts", prior=prior, measured=measured).smoothed
+    np.testing.assert_allclose(found.mean, alone.mean, atol=1e-9)
+    np.testing.assert_allclose(found.cov, alone.cov, atol=1e-9)
