@@ -68,8 +68,8 @@ class InformationFilter:
     A start from nothing is exact: of the components named in ``unknown`` (all of them, if you like)
     the prior tells nothing, whatever it says. Until measurements have determined every component the
     moments are NaN and ``ok`` is False; models must be linear until then, because there is no mean to
-    linearise about. A prior that is certain of something (a singular covariance) has no information
-    form: use "square_root". Predictions need the inverse of F, which every motion in continuous time
+    linearise about. A prior that is certain of something (a singular covariance), and a measurement
+    without noise (a singular R), have no information form: the lane becomes NaN. Use "square_root". Predictions need the inverse of F, which every motion in continuous time
     has.
 
     Reference: Bierman (1977), Factorization Methods for Discrete Sequential Estimation; Maybeck (1979),
@@ -145,6 +145,9 @@ class InformationFilter:
         e = sensor.residual(z, zhat) + apply(H, x)
         R, across = without_missing(sensor.R(_known(prior.mean), pose), transpose(dense(H)), e)
         noise = factor(R)
+        flaw: Any = 0.0
+        for i in range(len(e)):
+            flaw = where(less(0.0, noise[i, i]), flaw, math.nan)
         gained = transpose(whiten(noise, transpose(across)))
         n = len(x)
         joint = _stacked(
@@ -156,6 +159,7 @@ class InformationFilter:
         same = less(0.5, nothing)
         data = where(same, state.data, joint[n, :n])
         root = where(same, state.root, joint[:n, :n])
+        root[0, 0], nis, loglik = root[0, 0] + flaw, nis + flaw, loglik + flaw
         innovation = Innovation(v, seen.S, nis, loglik, count, finite(nis))
         return InformationState(data, root), innovation
 

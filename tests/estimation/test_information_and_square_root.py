@@ -254,3 +254,27 @@ def test_lanes_of_roots_are_alike_in_any_company() -> None:
     for lane in itertools.product(range(2), range(3)):
         alone = tk.filter(estimator, tk.Record(record.t, record.z[(..., *lane)]), PRIOR).filtered
         np.testing.assert_allclose(whole.mean[(..., *lane)], alone.mean, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_a_measurement_without_noise_has_no_information_form_and_says_so(
+    batch: tuple[int, ...],
+) -> None:
+    """It must not be taken for one that was not made, with the prior as the answer."""
+    perfect = ComponentSensor(
+        name="perfect",
+        measure=lambda a, b: (a,),
+        noise=lambda: ((0.0,),),
+        space=tk.Space.of("z"),
+        state=SPACE,
+    )
+    prior = tk.Gaussian(np.zeros((2, *batch)), np.diag([3.0, 1.0]))
+    record = tk.Record(np.zeros(1), np.full((1, 1, *batch), 2.0))
+    found = {
+        name: tk.filter(tk.estimator(name, motion=STILL, sensor=perfect), record, prior)
+        for name in ("information", "square_root")
+    }
+    assert not found["information"].innovation.ok.any()
+    assert np.isnan(found["information"].filtered.mean).all()
+    assert found["square_root"].innovation.ok.all()
+    np.testing.assert_allclose(found["square_root"].filtered.mean[0, 0], 2.0)
