@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
 
 from tracker.algebra import apply, condition, finite, product, symmetric_product, transpose
 from tracker.algebra.gaussian import predicted, projected
+from tracker.models import isnan, less, where
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
@@ -68,5 +70,9 @@ class IteratedExtendedKalmanFilter:
             moved = mean - state.mean
             v = sensor.residual(z, zhat) + apply(H, moved)
             # mean - moved is the predicted mean, and NaN in a lane that has diverged
-            mean, cov, *_ = condition(mean - moved, state.cov, v, S, transpose(HP))
+            mean, cov, told, _, seen_again = condition(mean - moved, state.cov, v, S, transpose(HP))
+            # A sensor without an answer there must not pass for a measurement that is missing.
+            lost = where(less(seen_again, count), math.nan, told)
+            nis, loglik = (where(isnan(lost), math.nan, value) for value in (nis, loglik))
+        innovation = attrs.evolve(innovation, nis=nis, loglik=loglik, ok=finite(nis))
         return Gaussian.trusted(mean, cov), innovation

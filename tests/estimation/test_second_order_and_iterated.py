@@ -11,7 +11,7 @@ import scipy.special
 
 import tracker as tk
 from tracker.errors import CapabilityError, DomainError
-from tracker.models import ComponentMotion, ComponentSensor, diagonal
+from tracker.models import ComponentMotion, ComponentSensor, diagonal, log
 from tracker.types import PLANAR, Array
 from tracker_kalman import (
     ExtendedKalmanFilter,
@@ -270,3 +270,22 @@ def test_lanes_are_alike_in_any_company(name: str, batch: tuple[int, ...]) -> No
             a, b = getattr(whole, part), getattr(alone, part)
             np.testing.assert_allclose(a.mean[(..., *lane)], b.mean, rtol=1e-9, atol=1e-11)
             np.testing.assert_allclose(a.cov[(..., *lane)], b.cov, rtol=1e-8, atol=1e-11)
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_an_iterate_where_the_sensor_has_no_answer_is_not_ok(batch: tuple[int, ...]) -> None:
+    """NaN there must not pass for a measurement that is missing: the first one was used."""
+    depth = ComponentSensor(
+        name="depth",
+        measure=lambda x, y: (log(x) + 0.0 * y,),
+        noise=lambda: ((1e-4,),),
+        space=tk.Space.of("z"),
+        state=PLANE,
+    )
+    state = tk.Gaussian(np.ones((2, *batch)), np.diag([3.0, 1.0]))
+    z = np.full((1, *batch), -5.0)  # the first step leads to a negative x
+    for iterations, ok in ((1, True), (2, False), (3, False)):
+        with np.errstate(all="ignore"):
+            _, told = IteratedExtendedKalmanFilter(iterations).update(state, depth, z)
+        assert np.all(told.ok) == ok, f"{iterations} iterations"
+        assert np.isfinite(told.loglik).all() == ok
