@@ -466,13 +466,14 @@ def tune(
     several), "filter" and "adapter" with the names that these parts have for their numbers
     (`tracker.trials.numbers` lists them). Several names as a tuple are tied: they get one value.
 
-    Objectives:
-        * "rmse": mean over runs of the position RMSE over a run; needs the truth;
-        * "nees": how far the mean NEES is from n, ``|log(NEES / n)|``; needs the truth;
-        * "innovation": the same of NIS and its degrees of freedom;
-        * "likelihood": the measurements' log-likelihood, as large as possible;
-        * "dom": the thesis's degree of mismatch, ``1000 sum_i sqrt(mean_k (S - C)(i,i)^2)`` with C over
-          a window of 25 steps; one sensor.
+    The objectives are:
+
+    * "rmse": mean over runs of the position RMSE over a run; needs the truth;
+    * "nees": how far the mean NEES is from n, ``|log(NEES / n)|``; needs the truth;
+    * "innovation": the same of NIS and its degrees of freedom;
+    * "likelihood": the measurements' log-likelihood a row, as large as possible;
+    * "dom": the thesis's degree of mismatch, ``1000 sum_i sqrt(mean_k (S - C)(i,i)^2)``, C being that of a
+      window of 25 steps; one sensor.
 
     A `Scenario` is simulated once: ``runs`` runs, the same for every candidate, or, with ``redraw``, others
     in every generation (then lucky draws count until the end, where the best candidates of all

@@ -117,6 +117,26 @@ def test_numbers_of_an_adapter_are_tuned(line):
     assert result.estimator.adapter.parameters["scale"] == result.values["adapter.scale"]
 
 
+@pytest.mark.parametrize("name", ["genetic", "imperialist", "differential_evolution", "cma_es"])
+def test_any_optimiser_of_one_objective_will_do(line, name):
+    if name == "cma_es":
+        pytest.importorskip("cmaes")
+    scene, wrong = line
+    result = tk.tune(
+        wrong, scene, BOTH, "likelihood", name, evaluations=400, runs=5, held_out=5, restarts=2
+    )
+    assert result.cost < result.training["given"].cost("likelihood")
+    assert result.held_out["tuned"].cost("likelihood") < result.held_out["given"].cost("likelihood")
+
+
+def test_restarts_that_end_early_leave_the_others_as_they_are(line):
+    scene, wrong = line
+    options = {"evaluations": 600, "runs": 4, "held_out": 4, "patience": 2, "tolerance": 1e-3}
+    three = tk.tune(wrong, scene, BOTH, "rmse", restarts=3, **options)
+    last = tk.tune(wrong, scene, BOTH, "rmse", restarts=[2], **options)
+    np.testing.assert_array_equal(last.settings[:, 0], three.settings[:, 2])
+
+
 def test_tied_numbers_get_one_value():
     scene = tk.scenario("two_stations", steps=30)
     est = tk.estimator("ekf1", motion=scene.motion, sensor=scene.sensor)
