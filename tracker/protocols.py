@@ -231,6 +231,13 @@ class Filter(Protocol[S]):
 class Smoother(Protocol):
     """Estimates given the whole record instead of its past.
 
+    One that goes back step by step may be compiled: it then has a method ``step(filtered, predicted,
+    smoothed, motion, dt, u, t)``, over the verbs of `tracker.algebra`, from the moments filtered at k, those
+    predicted at k + 1 and the smoothed belief there to the smoothed belief at k. The belief is a Gaussian,
+    or what its method ``begin(filtered)`` makes of the last filtered moments: a value as that of a filter
+    (`HasBegin`), with ``moments()``. One that needs the beliefs of a filter may say in ``follows`` which
+    registered filter leaves such.
+
     Laws: the last step equals the filter; in the linear-Gaussian case the result is the batch
     least-squares solution.
     """

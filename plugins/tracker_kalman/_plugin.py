@@ -264,7 +264,7 @@ def tracker_components(registry: Registry) -> None:
             target="tracker_kalman.square_root_rts:SquareRootRauchTungStriebel",
             summary="Rauch-Tung-Striebel in square-root form: covariances are never subtracted.",
             paper="Park and Kailath, Square-root RTS smoothing algorithms, 1995",
-            tags=("gaussian", "fixed-interval", "square-root"),
+            tags=("gaussian", "fixed-interval", "square-root", "traced"),
         )
     )
     registry.add(
@@ -276,7 +276,7 @@ def tracker_components(registry: Registry) -> None:
             paper="Fraser and Potter, The optimum linear smoother as a combination of two optimum "
             "linear filters, 1969",
             equations=("Särkkä 2013, 8.12-8.15",),
-            tags=("gaussian", "fixed-interval"),
+            tags=("gaussian", "fixed-interval", "traced"),
         )
     )
     registry.add(
@@ -287,7 +287,7 @@ def tracker_components(registry: Registry) -> None:
             summary="Fixed-lag smoother: each state given so many more steps; on line, tk.FixedLag.",
             paper="Särkkä, Bayesian Filtering and Smoothing, 2013",
             equations=("section 10.5",),
-            tags=("gaussian", "fixed-lag"),
+            tags=("gaussian", "fixed-lag", "traced"),
         )
     )
     registry.add(

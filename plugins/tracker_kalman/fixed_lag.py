@@ -5,6 +5,7 @@ On line, one measurement after the other, it is `tracker.FixedLag`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import attrs
@@ -13,7 +14,21 @@ import numpy as np
 from tracker.late import whole_steps
 from tracker.protocols import MotionModel
 from tracker.types import Gaussian, History, Trajectory
-from tracker_kalman.rts import RauchTungStriebel
+from tracker_kalman.rts import RauchTungStriebel, begun
+
+MOST = 32
+"""The longest lag of a compiled step, which has instructions of its own for each window."""
+
+
+@attrs.frozen(eq=False)
+class Windows:
+    """The smoothed beliefs of a state in the windows that end there and 1, 2, ... steps later."""
+
+    members: tuple[Any, ...]
+
+    def moments(self) -> Gaussian:
+        """Those of the window that ends last."""
+        return self.members[-1].moments()  # type: ignore[no-any-return]
 
 
 @attrs.frozen
@@ -45,12 +60,42 @@ class FixedLagSmoother:
         """What the smoother inside needs of the motion."""
         return tuple(self.smoother.needs)
 
+    @property
+    def why_opaque(self) -> str:
+        """Why its step cannot be compiled, or ''."""
+        if self.lag > MOST:
+            return f"a lag of {self.lag} steps is too long to unroll (at most {MOST})"
+        if not hasattr(self.smoother, "step"):
+            return f"{type(self.smoother).__name__} has no step"
+        return str(getattr(self.smoother, "why_opaque", ""))
+
+    def begin(self, filtered: Gaussian) -> Windows:
+        """At the end of the record all windows end."""
+        return Windows((begun(self.smoother, filtered),) * (self.lag + 1))
+
+    def step(
+        self,
+        filtered: Gaussian,
+        predicted: Gaussian,
+        smoothed: Windows,
+        motion: MotionModel,
+        dt: Any,
+        u: Any = None,
+        t: Any = None,
+    ) -> Windows:
+        """The windows one step earlier: one that ends at k, and all but the last of those at k + 1."""
+        known = (motion, dt, u, t)
+        later = (
+            self.smoother.step(filtered, predicted, w, *known) for w in smoothed.members[: self.lag]
+        )
+        return Windows((begun(self.smoother, filtered), *later))
+
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory; the last step equals the filter."""
         filtered, predicted, t = history.filtered, history.predicted, history.t
         mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
-        last = len(history) - 1
-        windows: Gaussian | None = None  # as a set before the batch; the one that ends last, first
+        last, axes = len(history) - 1, len(filtered.batch)
+        windows: Any = None  # as a set before the batch; the one that ends last, first
         with np.errstate(all="ignore"):
             for k in range(last, -1, -1):
                 own = _set_of_one(filtered.at(k))
@@ -61,12 +106,15 @@ class FixedLagSmoother:
                         own, ahead, windows, motion, t[k + 1] - t[k], u, t[k]
                     )
                 if windows is None:
-                    windows = own
+                    windows = begun(self.smoother, own)
                 elif k >= self.lag:  # no window of interest ends at other steps
-                    windows = _joined(windows, own)
-                mean[k], cov[k] = windows.mean[:, 0], windows.cov[:, :, 0]
+                    new = begun(self.smoother, own)
+                    windows = _on_sets(axes, _joined, windows, new)
+                state = windows.moments()
+                mean[k], cov[k] = state.mean[:, 0], state.cov[:, :, 0]
                 if k + self.lag <= last:  # the first window is needed no more
-                    windows = None if k == 0 or self.lag == 0 else _rest(windows)
+                    none = k == 0 or self.lag == 0
+                    windows = None if none else _on_sets(axes, _rest, windows)
         return attrs.evolve(history, smoothed=Trajectory(mean, cov))
 
 
@@ -74,12 +122,26 @@ def _set_of_one(state: Gaussian) -> Gaussian:
     return Gaussian.trusted(state.mean[:, None], state.cov[:, :, None])
 
 
-def _joined(windows: Gaussian, own: Gaussian) -> Gaussian:
-    return Gaussian.trusted(
-        np.concatenate([windows.mean, own.mean], axis=1),
-        np.concatenate([windows.cov, own.cov], axis=2),
-    )
+def _joined(at: int, some: Any, more: Any) -> Any:
+    """Sets on axis ``at``, one after the other; a belief may share a value among its windows."""
+    return np.concatenate([some, more], axis=at)
 
 
-def _rest(windows: Gaussian) -> Gaussian:
-    return Gaussian.trusted(windows.mean[:, 1:], windows.cov[:, :, 1:])
+def _rest(at: int, some: Any) -> Any:
+    return some[(slice(None),) * at + (slice(1, None),)]
+
+
+def _on_sets(axes: int, function: Callable[..., Any], *beliefs: Any) -> Any:
+    """A function of arrays, on those of beliefs over a set and ``axes`` batch axes."""
+    first = beliefs[0]
+    if isinstance(first, np.ndarray):
+        return function(first.ndim - axes - 1, *beliefs)
+    if isinstance(first, tuple):
+        return tuple(_on_sets(axes, function, *parts) for parts in zip(*beliefs, strict=True))
+    if not attrs.has(type(first)):
+        return first
+    made = object.__new__(type(first))
+    for field in attrs.fields(type(first)):
+        parts = (getattr(belief, field.name) for belief in beliefs)
+        object.__setattr__(made, field.name, _on_sets(axes, function, *parts))
+    return made

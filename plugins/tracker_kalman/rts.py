@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import attrs
@@ -56,7 +55,7 @@ class RauchTungStriebel:
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory; the last step equals the filter."""
-        return backwards(self.step, history, motion)
+        return backwards(self, history, motion)
 
 
 def regressed(
@@ -74,20 +73,25 @@ def regressed(
     )
 
 
-def backwards(step: Callable[..., Gaussian], history: History, motion: MotionModel) -> History:
+def begun(smoother: Any, filtered: Gaussian) -> Any:
+    """What a smoother carries backwards from the last filtered moments: those, or a belief of its own."""
+    return smoother.begin(filtered) if hasattr(smoother, "begin") else filtered
+
+
+def backwards(smoother: Any, history: History, motion: MotionModel) -> History:
     """A history smoothed by single steps, from its last estimate, which stays, to its first."""
     filtered, predicted, t = history.filtered, history.predicted, history.t
     mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
     if not len(history):
         return attrs.evolve(history, smoothed=Trajectory(mean, cov))
-    state = filtered.at(len(history) - 1)
-    mean[-1], cov[-1] = state.mean, state.cov
+    mean[-1], cov[-1] = filtered.mean[-1], filtered.cov[-1]
     with np.errstate(all="ignore"):
+        belief = begun(smoother, filtered.at(len(history) - 1))
         for k in range(len(history) - 2, -1, -1):
             u = None if history.u is None else history.u[k + 1]
-            state = step(
-                filtered.at(k), predicted.at(k + 1), state, motion, t[k + 1] - t[k], u, t[k]
-            )
+            own, ahead = filtered.at(k), predicted.at(k + 1)
+            belief = smoother.step(own, ahead, belief, motion, t[k + 1] - t[k], u, t[k])
+            state = belief.moments()
             mean[k], cov[k] = state.mean, state.cov
     return attrs.evolve(history, smoothed=Trajectory(mean, cov))
 

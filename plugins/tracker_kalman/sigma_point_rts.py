@@ -66,4 +66,4 @@ class SigmaPointRauchTungStriebel:
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory; the last step equals the filter."""
-        return backwards(self.step, history, motion)
+        return backwards(self, history, motion)

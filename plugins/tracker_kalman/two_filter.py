@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
@@ -20,9 +21,12 @@ from tracker.algebra import (
     triangularise,
     whiten,
 )
+from tracker.models.functions import absolute, less, sqrt, where
+from tracker.models.graph import plain
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel
-from tracker.types import Gaussian, History, Trajectory, square_root
+from tracker.types import Gaussian, History
+from tracker_kalman.rts import backwards
 
 
 @attrs.frozen(eq=False)
@@ -39,6 +43,26 @@ class Information:
 
     root: Any
     vector: Any
+
+
+@attrs.frozen(eq=False)
+class Meeting:
+    """What the filter has found up to a step, and what only later measurements say of the state there.
+
+    ``later`` is in deviations from the filtered state.
+    """
+
+    filtered: Gaussian
+    later: Information
+
+    def moments(self) -> Gaussian:
+        """The smoothed moments: ``P = L (1 + J)^-1 L'`` and ``x + L (1 + J)^-1 j``."""
+        later = self.later
+        unit = _one_more(0.0 * later.root)
+        root = triangularise(beside(unit, later.root))
+        half = transpose(whiten(root, transpose(factor(self.filtered.cov))))
+        mean = self.filtered.mean + apply(half, whiten(root, later.vector))
+        return Gaussian.trusted(mean, symmetric_product(half, half))
 
 
 @attrs.frozen
@@ -73,7 +97,8 @@ class TwoFilterSmoother:
         moved = residual(filtered.mean, predicted.mean, _circular(motion))
         s = whiten(T, whiten(root, moved))
         # The measurement's own part is (T T')^-1 - 1 = T^-T (1 - T' T) T^-1, where T can be inverted.
-        own = singular_root(_one_more(-symmetric_product(transpose(T), transpose(T))))
+        own = _one_more(-symmetric_product(transpose(T), transpose(T)))
+        own = singular_root(own, np.ones(len(own)))
         whole = whiten_across(T, beside(own, later.root))
         vector = s + later.vector + apply(later.root, apply(transpose(later.root), s))
         vector = whiten_across(T, vector)
@@ -100,31 +125,28 @@ class TwoFilterSmoother:
         back = transpose(A)
         return Information(product(back, transpose(kept)), apply(back, known.vector - taken))
 
-    def join(self, filtered: Gaussian, later: Information) -> Gaussian:
-        """The smoothed moments: ``P = L (1 + J)^-1 L'`` and ``x + L (1 + J)^-1 j``."""
-        unit = _one_more(0.0 * later.root)
-        root = triangularise(beside(unit, later.root))
-        half = transpose(whiten(root, transpose(factor(filtered.cov))))
-        mean = filtered.mean + apply(half, whiten(root, later.vector))
-        return Gaussian.trusted(mean, symmetric_product(half, half))
+    def begin(self, filtered: Gaussian) -> Meeting:
+        """Nothing comes after the last step."""
+        nothing = Information(0.0 * filtered.cov, 0.0 * filtered.mean)
+        return Meeting(filtered, nothing)
+
+    def step(
+        self,
+        filtered: Gaussian,
+        predicted: Gaussian,
+        smoothed: Meeting,
+        motion: MotionModel,
+        dt: Any,
+        u: Any = None,
+        t: Any = None,
+    ) -> Meeting:
+        """Past and future at k, from moments filtered at k and predicted at k + 1, and both there."""
+        known = self.gathered(predicted, smoothed.filtered, smoothed.later, motion)
+        return Meeting(filtered, self.back(known, filtered, predicted, motion, dt, u, t))
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory; the last step equals the filter."""
-        filtered, predicted, t = history.filtered, history.predicted, history.t
-        mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
-        if not len(history):
-            return attrs.evolve(history, smoothed=Trajectory(mean, cov))
-        mean[-1], cov[-1] = filtered.mean[-1], filtered.cov[-1]
-        later = Information(np.zeros(cov.shape[1:]), np.zeros(mean.shape[1:]))  # nothing
-        with np.errstate(all="ignore"):
-            for k in range(len(history) - 2, -1, -1):
-                u = None if history.u is None else history.u[k + 1]
-                own, ahead = filtered.at(k), predicted.at(k + 1)
-                known = self.gathered(ahead, filtered.at(k + 1), later, motion)
-                later = self.back(known, own, ahead, motion, t[k + 1] - t[k], u, t[k])
-                state = self.join(own, later)
-                mean[k], cov[k] = state.mean, state.cov
-        return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+        return backwards(self, history, motion)
 
 
 def whiten_across(L: Any, B: Any) -> Any:
@@ -136,11 +158,48 @@ def _one_more(P: Any) -> Any:
     return P + np.eye(len(P)).reshape(len(P), len(P), *(1,) * (P.ndim - 2))
 
 
-def singular_root(P: Any) -> Any:
-    """A root of a matrix that is mostly singular, by eigenvalues: a factor would divide by rounding."""
-    lost = ~np.isfinite(P).all(axis=(0, 1))
-    root = square_root(np.where(lost, 0.0, P))
-    return np.where(lost, np.nan, root)
+def diagonal(P: Any) -> Any:
+    """The diagonal of a matrix, ``(n, *batch)``."""
+    index = np.arange(len(P))
+    return P[index, index]
+
+
+def singular_root(P: Any, scale: Any) -> Any:
+    """Some B with ``B B' = P`` of a matrix that may be singular, from a subtraction perhaps.
+
+    What is left of variances of size ``scale`` is taken in the order of its share of them; shares as
+    small as rounding are nothing, where a factor in the order of the components would divide by them.
+
+    Shapes:
+        P ``(n, n, *batch)``; scale ``(n, *batch)``; result ``(n, n, *batch)``, of any structure.
+    Reference:
+        Higham (2002), Accuracy and Stability of Numerical Algorithms, section 10.3: complete pivoting.
+    """
+    n, left = len(P), P
+    units = [where(less(0.0, s), 1.0 / where(less(0.0, s), s, 1.0), 0.0) for s in scale]
+    root = np.zeros_like(P)
+    for k in range(n):
+        most, square, column = left[0, 0] * units[0], left[0, 0], left[:, 0]
+        for j in range(1, n):
+            share = left[j, j] * units[j]
+            larger = less(most, share)
+            most = where(larger, share, most)
+            square = where(larger, left[j, j], square)
+            column = where(larger, left[:, j], column)
+        known = less(_ROUNDING * n, most)
+        column = column * where(known, 1.0 / sqrt(where(known, square, 1.0)), 0.0)
+        root[:, k] = column
+        left = left - symmetric_product(column[:, None], column[:, None])
+    total: Any = 0.0
+    for place in np.ndindex(n, n):
+        total = total + absolute(P[place])
+    lost = where(less(total, math.inf), 0.0, math.nan)
+    for place in np.ndindex(n, n):
+        root[place] = plain(root[place] + lost)
+    return root
+
+
+_ROUNDING = 2.0**-50
 
 
 def _circular(motion: MotionModel) -> bool | tuple[bool, ...]:

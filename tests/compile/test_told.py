@@ -17,6 +17,7 @@ def tell(*arguments):
         ("ekf1", ("two stations", "step program: forward", "input   motion.density", "= atan2(")),
         ("kf", ("position measured", "step program: forward")),
         ("rts", ("after ekf1", "step program: backward", "state   smoothed.P")),
+        ("square_root_rts", ("step program: backward", "state   smoothed.carried.root")),
         ("moving_observer", ("its motion (constant_velocity)", "input   pose0")),
     ],
 )

@@ -10,7 +10,7 @@ from typing import Any
 from tracker.compile.fuse import backward, forward, why_not
 from tracker.compile.llvm import emit
 from tracker.compile.program import Program
-from tracker.compile.run import FAILURES, _layout
+from tracker.compile.run import FAILURES, _afterwards, _layout
 from tracker.errors import CapabilityError
 from tracker.estimation import Estimator, estimator
 from tracker.registry import Component, default_registry
@@ -66,7 +66,8 @@ def _program(component: Component, made: Estimator) -> Program:
         compose: Any = backward if backwards else forward
         keep = ("smoothed" if backwards else "filtered",)
         try:
-            return compose(_layout(made, {}, inputs, keep))  # type: ignore[no-any-return]
+            parts = _afterwards(made) if backwards else made
+            return compose(_layout(parts, {}, inputs, keep))  # type: ignore[no-any-return]
         except FAILURES as error:
             why = str(error)
     raise CapabilityError(f"{component.kind} {component.name!r} runs on arrays: {why}")

@@ -205,22 +205,23 @@ class _Composer:
         }
         return with_numbers(component, nodes)
 
-    def carried(self) -> Any:
+    def carried(self, prefix: str = "") -> Any:
         """What the step begins with: the belief and the adapter's memories, as states."""
         nodes = {
-            leaf.name: self.program.delay(leaf.name, leaf.count, leaf.length)
+            leaf.name: self.program.delay(prefix + leaf.name, leaf.count, leaf.length)
             if leaf.length
-            else self.program.state(leaf.name, leaf.count)
+            else self.program.state(prefix + leaf.name, leaf.count)
             for leaf in leaves(self.layout.carried)
         }
         return built(self.layout.carried, lambda leaf: of_nodes(leaf, nodes[leaf.name]))
 
-    def carry(self, value: Any, variant: int) -> None:
+    def carry(self, value: Any, variant: int, prefix: str = "") -> None:
         """What the next step begins with."""
         lines = {leaf.name for leaf in leaves(self.layout.carried) if leaf.length}
         for name, found in entries(self.layout.carried, value).items():
-            _symbolic(self.layout.filter, found)
-            (self.program.feed if name in lines else self.program.set)(name, found, variant)
+            _symbolic(self.layout.filter or self.layout.smoother, found)
+            put = self.program.feed if name in lines else self.program.set
+            put(prefix + name, found, variant)
 
     def sensor(self, i: int) -> tuple[Any, Any]:
         """Sensor i, and its pose."""
@@ -334,42 +335,49 @@ def _histories(
 def backward(layout: Layout) -> Program:
     """The smoother's recursion over stored filtered and predicted moments.
 
-    The moments predicted at step k + 1 are carried as a state, and so are its dt, t and u; before the
-    last step they equal the carried smoothed ones, so that its smoothed moments are the filtered ones.
+    The moments predicted at step k + 1 are carried as a state beside the smoother's belief, and so are
+    its dt, t and u. The last step, at which a belief begins, is a variant of its own.
     """
-    program = Program(backward=True)
+    program = Program(backward=True, variants=2)
+    program.input("variant", 1, Rate.STEP)
     c = _Composer(program, layout)
     n, k = c.n, triangle(c.n)
 
-    def gaussian(kind: Any, name: str) -> Gaussian:
-        if kind == "state":
-            x, P = program.state(f"{name}.x", n), program.state(f"{name}.P", k)
-        else:
-            x, P = (
-                program.input(f"{name}.x", n, Rate.BOTH),
-                program.input(f"{name}.P", k, Rate.BOTH),
-            )
+    def gaussian(make: Any, name: str, *more: Any) -> Gaussian:
+        x, P = make(f"{name}.x", n, *more), make(f"{name}.P", k, *more)
         return Gaussian.trusted(vector(x), unpack(P, n))
 
-    smoothed, ahead = gaussian("state", "smoothed"), gaussian("state", "ahead")
-    filtered, predicted = gaussian("input", "filtered"), gaussian("input", "predicted")
-    carried = program.state("step", 2 + layout.inputs)
-    u = vector(carried[2:]) if layout.inputs else None
-    out = layout.smoother.step(filtered, ahead, smoothed, c.motion, carried[0], u, carried[1])
-    _symbolic(layout.smoother, out.mean)
-    program.set("smoothed.x", list(out.mean))
-    program.set("smoothed.P", pack(out.cov))
-    program.set("ahead.x", list(predicted.mean))
-    program.set("ahead.P", pack(predicted.cov))
-    program.set("step", [c.dt, c.t, *([] if c.u is None else c.u)])
-    if "smoothed" in layout.keep:
-        program.history("out.x", list(out.mean))
-        program.history("out.P", pack(out.cov))
-    if "scores" in layout.keep:
-        truth = vector(program.input("truth", n, Rate.BOTH))
-        counted = program.input("counted", 1, Rate.LANE)[0]
-        scores(program, 0, layout.motion, out, truth, counted, [])
+    later, ahead = c.carried("smoothed."), gaussian(program.state, "ahead")
+    filtered = gaussian(program.input, "filtered", Rate.BOTH)
+    predicted = gaussian(program.input, "predicted", Rate.BOTH)
+    told = "scores" in layout.keep
+    truth = vector(program.input("truth", n, Rate.BOTH)) if told else None
+    counted = program.input("counted", 1, Rate.LANE)[0] if told else 1.0
+    step = program.state("step", 2 + layout.inputs)
+    u = vector(step[2:]) if layout.inputs else None
+    smoother, known = layout.smoother, (c.motion, step[0], u, step[1])
+    for variant in (LAST, EARLIER):
+        if variant == LAST:
+            belief = smoother.begin(filtered) if hasattr(smoother, "begin") else filtered
+            out = filtered
+        else:
+            belief = smoother.step(filtered, ahead, later, *known)
+            out = belief.moments()
+        _symbolic(smoother, out.mean)
+        c.carry(belief, variant, "smoothed.")
+        program.set("ahead.x", list(predicted.mean), variant)
+        program.set("ahead.P", pack(predicted.cov), variant)
+        program.set("step", [c.dt, c.t, *([] if c.u is None else c.u)], variant)
+        if "smoothed" in layout.keep:
+            program.history("out.x", list(out.mean), variant)
+            program.history("out.P", pack(out.cov), variant)
+        if told:
+            scores(program, variant, layout.motion, out, truth, counted, [])
     return program
+
+
+LAST, EARLIER = 0, 1
+"""Variants of a backward step."""
 
 
 def totals(

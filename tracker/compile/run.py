@@ -17,10 +17,10 @@ import numpy as np
 
 from tracker.algebra import at_once
 from tracker.compile import objects
-from tracker.compile.fuse import Layout, backward, forward, structure, why_not
+from tracker.compile.fuse import EARLIER, LAST, Layout, backward, forward, structure, why_not
 from tracker.compile.llvm import Kernel
 from tracker.compile.program import BLOCK, WIDTH, Program, Rate, allocate, tile, tile_into, untile
-from tracker.compile.values import Form, built, entries, form_of, leaves, pack, triangle
+from tracker.compile.values import Form, built, entries, form_of, leaves, triangle
 from tracker.errors import CapabilityError, ConfigError, TraceError
 from tracker.models.parameters import numbers_of
 from tracker.recursion import begin
@@ -121,11 +121,19 @@ def why_not_backwards(estimator: Any) -> str:
         why = MISSING
     elif not hasattr(after.smoother, "step"):
         why = f"smoother {type(after.smoother).__name__} has no step over components"
+    elif opaque := getattr(after.smoother, "why_opaque", ""):
+        why = f"smoother {type(after.smoother).__name__} is opaque: {opaque}"
     else:
-        why = why_not(None, after.motion, ()) or _hashable(
-            _trial_backwards, _layout(after, {}, 0, ("scores",))
-        )
+        why = why_not(None, after.motion, ()) or _begins_backwards(after)
     return _required(why, wanted)
+
+
+def _begins_backwards(after: Parts) -> str:
+    try:
+        layout = _layout(after, {}, 0, ("scores",))
+    except FAILURES as error:
+        return f"what smoother {type(after.smoother).__name__} carries cannot be carried: {error}"
+    return _hashable(_trial_backwards, layout)
 
 
 def _required(why: str, wanted: str) -> str:
@@ -203,9 +211,13 @@ def begins_otherwise(estimator: Any) -> bool:
 
 def _carried(estimator: Any) -> Form:
     n = estimator.motion.space.size
-    if not begins_otherwise(estimator):
+    backwards = estimator.filter is None  # then it is the smoother that begins
+    begins = hasattr(estimator.smoother, "begin") if backwards else begins_otherwise(estimator)
+    if not begins:
         return _gaussian(n)
     prior = Gaussian.trusted(np.zeros((n, 1)), np.eye(n)[..., None])
+    if backwards:
+        return form_of(estimator.smoother.begin(prior), 1)
     pose = np.zeros((max(s.pose_space.size for s in estimator.sensors), 1))
     with at_once():
         return form_of(_begun(estimator, prior, pose), 1)
@@ -446,15 +458,10 @@ def _belief(form: Form, whole: Mapping[str, Array], step: int) -> Any:
     return built(form, lambda leaf: whole[leaf.name][step])
 
 
-def _begin_backwards(arrays: dict[str, Array], n: int) -> None:
-    """Carried moments that make the last smoothed moments the filtered ones."""
-    unit = np.array(pack(np.eye(n)))[:, None]
-    for name in ("smoothed", "ahead"):
-        arrays[f"{name}.x"][:] = 0.0
-        arrays[f"{name}.P"][:] = unit
-    # A step of no length ends the record. It has a time that occurs: a model may be singular at 0.
-    t = arrays["t"]
-    arrays["step"][:, 1:2] = t[-1] if t.ndim == 2 else t[:, -1]
+def _begin_backwards(arrays: dict[str, Array]) -> None:
+    """A record's last step comes first, and begins the smoother's belief."""
+    arrays["variant"][:] = EARLIER
+    arrays["variant"][-1:] = LAST
     if "final" in arrays:
         arrays["final"][:] = np.nan
 
@@ -474,7 +481,7 @@ def smoothed(estimator: Any, history: History, workers: int = 1) -> History:
         arrays[f"{name}.x"][:] = tile(_flat(source.mean, 2, record.batch))
         upper = np.triu_indices(shape[1])
         arrays[f"{name}.P"][:] = tile(_flat(source.cov[:, upper[0], upper[1]], 2, record.batch))
-    _begin_backwards(arrays, shape[1])
+    _begin_backwards(arrays)
     _call(made, arrays, problem.groups, shape[0], workers)
     out = Trajectory(problem.lanes_of(arrays["out.x"]), problem.matrices(arrays["out.P"]))
     return attrs.evolve(history, smoothed=out)
@@ -510,10 +517,11 @@ def scored(
     _prior(problem, prior, arrays)
     calls = [(made, arrays)]
     if smooth:
-        again = kernel(problem.layout(("scores",)), "backward")
-        back = problem.arrays(again.program, passing | {"counted"})
+        behind = attrs.evolve(problem, estimator=_afterwards(estimator))
+        again = kernel(behind.layout(("scores",)), "backward")
+        back = behind.arrays(again.program, passing | {"counted"})
         back["counted"] = arrays["counted"]
-        _begin_backwards(back, estimator.motion.space.size)
+        _begin_backwards(back)
         calls.append((again, back))
     # A tile of lanes at a time, in the same memory: what passes through stays in the cache.
     shapes = made.program.shapes(1, steps)

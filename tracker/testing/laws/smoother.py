@@ -136,18 +136,23 @@ def _no_step(rule: Any) -> str:
     return "" if hasattr(rule, "step") else "it has no step that could be traced alone"
 
 
+def _stepped(rule: Any, filtered: Gaussian, predicted: Gaussian, later: Gaussian, dt: Any) -> Any:
+    belief = rule.begin(later) if hasattr(rule, "begin") else later
+    return rule.step(filtered, predicted, belief, MOTION, dt).moments()
+
+
 @law("smoother", name="interpretations agree", unless=_no_step)
 def interpretations_agree(rule: Any, case: Case) -> None:
     """A step gives the same, to 1e-9, on lanes, on one run, and on graph nodes."""
     past = _problem(case, (), 2, pauses=False).filtered()
     dt = float(past.t[1] - past.t[0])
     parts = (past.filtered.at(0), past.predicted.at(1), past.filtered.at(1))
-    one = rule.step(*parts, MOTION, dt)
+    one = _stepped(rule, *parts, dt)
     spread = [Gaussian.trusted(p.mean[:, None], p.cov[..., None]) for p in parts]
-    several = rule.step(*spread, MOTION, dt)
+    several = _stepped(rule, *spread, dt)
     traced = Traced()
     inputs = [traced.gaussian(p, name) for p, name in zip(parts, "abc", strict=True)]
-    nodes = rule.step(*inputs, MOTION, traced.vector("dt", [dt])[0])
+    nodes = _stepped(rule, *inputs, traced.vector("dt", [dt])[0])
     for name in ("mean", "cov"):
         told = f"a step: the {name} on {{}} differs from that of one run"
         agree(getattr(several, name)[..., 0], getattr(one, name), 1e-9, told.format("lanes"))
