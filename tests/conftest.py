@@ -9,7 +9,7 @@ from hypothesis import settings
 
 # No deadlines: a first call traces and compiles, and on a busy machine a slow example is no failure.
 settings.register_profile("dev", max_examples=25, deadline=None)
-settings.register_profile("ci", max_examples=200, derandomize=True, deadline=None)
+settings.register_profile("ci", max_examples=50, derandomize=True, deadline=None)
 settings.register_profile("nightly", max_examples=5000, deadline=None)
 
 settings.load_profile(
