@@ -21,7 +21,17 @@ from tracker.compile.online import Steps
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.models.parameters import lanes_of_component
 from tracker.protocols import Filter, MotionModel, NoiseAdapter, SensorModel, Smoother
-from tracker.recursion import Adapted, advance, begin, is_random, lanes_of, why_untunable
+from tracker.recursion import (
+    Adapted,
+    advance,
+    begin,
+    is_random,
+    joined,
+    lanes_of,
+    unseen,
+    why_unsmoothable,
+    why_untunable,
+)
 from tracker.registry import Component
 from tracker.threads import each
 from tracker.types import (
@@ -149,6 +159,8 @@ class Estimator:
                 self.motion,
             )
         why = why_untunable(self.adapter, self.sensors)
+        if self.smoother is not None:
+            why = why or why_unsmoothable(self.filter, self.motion, self.smoother)
         if why:
             raise CapabilityError(why)
 
@@ -312,6 +324,9 @@ class Estimator:
             name = getattr(model, "name", type(model).__name__)
             reason = getattr(model, "why_opaque", "it is not written over components")
             lines.append(f"{role} {name}: {'opaque, ' + reason if reason else 'traced'}")
+        blind = "" if self.smoother is None else unseen(self.filter, self.motion, self.smoother)
+        if blind:
+            lines.append(blind)
         if self.adapter is not None:
             tuned = " and ".join(self.adapter.tunes)
             lines.append(f"adapter {type(self.adapter).__name__}: re-tunes {tuned}")
@@ -618,12 +633,18 @@ def smoothed(estimator: Estimator, history: History, workers: int = 1) -> Histor
     def work(tile: slice) -> None:
         with at_once():
             part = _history_lanes(history, tile)
-            done = smoother.smooth(part, lanes_of_component(estimator.motion, tile)).smoothed
+            whole = smoother.smooth(part, lanes_of_component(estimator.motion, tile))
+        done = whole.smoothed
         assert done is not None  # noqa: S101 - a smoother fills it in
         mean[..., tile], cov[..., tile] = done.mean, done.cov
+        kept[tile.start] = None if whole.beliefs is None else whole.beliefs.smoothed
 
+    kept: dict[int, Any] = {}
     each(work, parts, workers)
-    return attrs.evolve(history, smoothed=Trajectory(mean, cov))
+    beliefs, found = history.beliefs, [kept[tile.start] for tile in parts]
+    if beliefs is not None and found[0] is not None:
+        beliefs = attrs.evolve(beliefs, smoothed=joined(found))
+    return attrs.evolve(history, smoothed=Trajectory(mean, cov), beliefs=beliefs)
 
 
 def steps(

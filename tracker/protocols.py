@@ -192,6 +192,22 @@ class HasBegin(Protocol):
         ...
 
 
+@runtime_checkable
+class BeyondMoments(Protocol):
+    """A filter whose beliefs say more than mean and covariance, and the smoothers that make use of it.
+
+    ``smoothers`` are names of registered ones, with "beliefs" in their ``needs``. Any other sees the
+    moments alone: after such a filter that is said in words, and refused after one that draws random
+    numbers.
+    """
+
+    smoothers: tuple[str, ...]
+
+    def beyond_moments(self, motion: MotionModel) -> str:
+        """What they are, as "a mixture of 2 modes"; '' where, with this motion, moments are all."""
+        ...
+
+
 class Filter(Protocol[S]):
     """Bayes' rule, approximated: predict through a motion, update with a measurement.
 

@@ -12,10 +12,20 @@ from typing import Any
 import attrs
 import numpy as np
 
-from tracker.errors import CapabilityError
+from tracker.errors import CapabilityError, wording
 from tracker.types import Gaussian, Innovation, Step
 
-__all__ = ["Adapted", "advance", "begin", "is_random", "lanes_of", "why_untunable"]
+__all__ = [
+    "Adapted",
+    "advance",
+    "begin",
+    "is_random",
+    "joined",
+    "lanes_of",
+    "unseen",
+    "why_unsmoothable",
+    "why_untunable",
+]
 
 
 @attrs.frozen(eq=False)
@@ -48,6 +58,48 @@ def why_untunable(adapter: Any, sensors: Sequence[Any]) -> str:
         f"for that: got {len(sensors)} sensors; expected one. Do this: join them to one stack of "
         "sensors (tracker_sensors.stack), or use an adapter of measurement noise alone."
     )
+
+
+def unseen(filter_: Any, motion: Any, smoother: Any = None) -> str:
+    """In words, what a smoother of moments does not see of a filter's beliefs; '' if nothing.
+
+    Without a smoother: what any that sees no beliefs would not.
+    """
+    more = _beyond(filter_, motion, smoother)
+    if not more:
+        return ""
+    name = "a smoother of moments" if smoother is None else f"smoother {type(smoother).__name__}"
+    names = _listed(filter_.smoothers)
+    way = f"use smoother {names}" if names else "compare it with the filter before you trust it"
+    return (
+        f"{name} sees only mean and covariance of what filter {type(filter_).__name__} believes, "
+        f"{more}, and takes it for one Gaussian: {way}."
+    )
+
+
+def why_unsmoothable(filter_: Any, motion: Any, smoother: Any) -> str:
+    """Why a smoother cannot follow a filter that draws random numbers, or ''."""
+    more = _beyond(filter_, motion, smoother) if is_random(filter_) else ""
+    if not more:
+        return ""
+    names = _listed(filter_.smoothers)
+    return wording(
+        f"smoother {type(smoother).__name__} after filter {type(filter_).__name__}",
+        got=f"{more}, of which it sees only mean and covariance",
+        expected="a smoother that sees them",
+        do=f"pass smoother={names}"
+        if names
+        else "leave the smoother out; none here serves this filter",
+    )
+
+
+def _beyond(filter_: Any, motion: Any, smoother: Any) -> str:
+    blind = smoother is None or "beliefs" not in smoother.needs
+    return filter_.beyond_moments(motion) if blind and hasattr(filter_, "beyond_moments") else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " or ".join(map(repr, names))
 
 
 def begin(
@@ -138,4 +190,20 @@ def lanes_of(value: Any, index: Any) -> Any:
     made = object.__new__(type(value))
     for field in attrs.fields(type(value)):
         object.__setattr__(made, field.name, lanes_of(getattr(value, field.name), index))
+    return made
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """Beliefs side by side, as `lanes_of` with slices of two lanes or more has parted them."""
+    first = parts[0]
+    if isinstance(first, np.ndarray):
+        return first if first.shape[-1] == 1 else np.concatenate(parts, axis=-1)
+    if isinstance(first, tuple):
+        return tuple(joined(some) for some in zip(*parts, strict=True))
+    if not attrs.has(type(first)):
+        return first
+    made = object.__new__(type(first))
+    for field in attrs.fields(type(first)):
+        some = [getattr(part, field.name) for part in parts]
+        object.__setattr__(made, field.name, joined(some))
     return made

@@ -763,11 +763,13 @@ class Beliefs:
     """What a filter believed at each step, where that is more than mean and covariance.
 
     Shapes:
-        predicted, filtered: one belief per step, each over the whole batch.
+        predicted, filtered: one belief per step, each over the whole batch; smoothed alike, where a
+        smoother found more than moments (`imm_smoother`: how likely each mode was), else None.
     """
 
     predicted: tuple[Any, ...] = attrs.field(repr=False)
     filtered: tuple[Any, ...] = attrs.field(repr=False)
+    smoothed: tuple[Any, ...] | None = attrs.field(default=None, repr=False)
 
 
 @attrs.frozen(eq=False)

@@ -127,6 +127,8 @@ class GaussianSumFilter:
     tags = ("opaque",)
     why_opaque = "its members are lanes side by side, of arrays"
 
+    smoothers = ()
+
     @property
     def needs(self) -> tuple[str, ...]:
         """What its filter needs."""
@@ -136,6 +138,10 @@ class GaussianSumFilter:
     def width(self) -> int:
         """Lanes that one run takes."""
         return self.components
+
+    def beyond_moments(self, motion: MotionModel) -> str:  # noqa: ARG002 - the protocol
+        """What it believes that mean and covariance do not say."""
+        return f"a sum of {self.components} Gaussians" if self.components > 1 else ""
 
     def begin(self, prior: Any, motion: MotionModel | None = None) -> GaussianSum:
         """A prior split into members; a Gaussian sum as it is."""

@@ -177,6 +177,8 @@ class InteractingMultipleModels:
     filters: tuple[Any, ...] = attrs.field(default="ekf1", converter=filters_of)
     missing: str = MISSING[0]
 
+    smoothers = ("imm_smoother",)
+
     def __attrs_post_init__(self) -> None:
         one_of("missing", self.missing, MISSING)
 
@@ -194,6 +196,11 @@ class InteractingMultipleModels:
     def why_opaque(self) -> str:
         """Why one of its filters cannot be traced, or ''."""
         return next(filter(None, (getattr(f, "why_opaque", "") for f in self.filters)), "")
+
+    def beyond_moments(self, motion: MotionModel) -> str:
+        """What it believes that mean and covariance do not say."""
+        count = len(modes_of(motion))
+        return f"a mixture of {count} modes" if count > 1 else ""
 
     # --------------------------------------------------------------------------- the start
     def begin(self, prior: Any, motion: MotionModel | None = None) -> ModeMixture:

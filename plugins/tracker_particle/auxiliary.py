@@ -59,8 +59,13 @@ class AuxiliaryFilter:
 
     needs = ()
     random = True
+    smoothers = ("backward_simulation",)
     tags = ("opaque",)
     why_opaque = "it draws random numbers and resamples"
+
+    def beyond_moments(self, motion: MotionModel) -> str:  # noqa: ARG002 - the protocol
+        """What it believes that mean and covariance do not say."""
+        return "particles"
 
     def begin(
         self,

@@ -54,8 +54,13 @@ class BootstrapFilter:
 
     needs = ()
     random = True
+    smoothers = ("backward_simulation",)
     tags = ("opaque",)
     why_opaque = "it draws random numbers and resamples"
+
+    def beyond_moments(self, motion: MotionModel) -> str:  # noqa: ARG002 - the protocol
+        """What it believes that mean and covariance do not say."""
+        return "particles"
 
     def begin(
         self,

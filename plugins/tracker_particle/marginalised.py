@@ -109,8 +109,13 @@ class MarginalisedFilter:
 
     needs = ("jacobian",)
     random = True
+    smoothers = ()
     tags = ("opaque",)
     why_opaque = "it draws random numbers and resamples"
+
+    def beyond_moments(self, motion: MotionModel) -> str:  # noqa: ARG002 - the protocol
+        """What it believes that mean and covariance do not say."""
+        return "particles with a Kalman filter each"
 
     def begin(
         self,

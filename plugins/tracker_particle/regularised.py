@@ -50,11 +50,16 @@ class RegularisedFilter:
 
     needs = ()
     random = True
+    smoothers = ("backward_simulation",)
     tags = ("opaque",)
     why_opaque = "it draws random numbers and resamples"
 
     def __attrs_post_init__(self) -> None:
         one_of("kernel", self.kernel, KERNELS)
+
+    def beyond_moments(self, motion: MotionModel) -> str:  # noqa: ARG002 - the protocol
+        """What it believes that mean and covariance do not say."""
+        return "particles"
 
     def begin(
         self,

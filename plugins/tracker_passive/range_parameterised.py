@@ -113,6 +113,8 @@ class RangeParameterised:
                 )
             )
 
+    smoothers = ()
+
     @property
     def needs(self) -> tuple[str, ...]:
         """What its filter needs."""
@@ -124,6 +126,10 @@ class RangeParameterised:
         return self.components
 
     # --------------------------------------------------------------------------- the steps
+    def beyond_moments(self, motion: MotionModel) -> str:  # noqa: ARG002 - the protocol
+        """What it believes that mean and covariance do not say."""
+        return f"a sum of {self.components} Gaussians" if self.components > 1 else ""
+
     def begin(self, prior: Any, motion: MotionModel | None = None) -> Bank:
         """A bank that waits for its first direction: all members are the prior."""
         if isinstance(prior, Bank):

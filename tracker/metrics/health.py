@@ -19,6 +19,7 @@ from tracker.metrics.observability import (
     noise_free_path,
     observability,
 )
+from tracker.recursion import unseen
 from tracker.types import History
 
 FALSE_ALARM = 1e-3
@@ -112,7 +113,16 @@ def warnings(history: History) -> list[str]:
             f"innovations are not white: correlation {next_step:+.2f} from step to step (chance: "
             f"{float(white.probability):.1g}): {hint}."
         )
-    return out + blind_spots(observability_of(history))
+    return out + _approximated(history) + blind_spots(observability_of(history))
+
+
+def _approximated(history: History) -> list[str]:
+    """What the smoother did not see of the filter's beliefs."""
+    if history.run is None or history.smoothed is None:
+        return []
+    built = history.run.estimator
+    words = unseen(built.filter, built.motion, built.smoother)
+    return [words] if words else []
 
 
 def summary(history: History) -> str:
