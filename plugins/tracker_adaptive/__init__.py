@@ -11,6 +11,8 @@ _HOME = {
     "InnovationAdaptive": "innovation_adaptive",
     "InnovationMatching": "innovation_matching",
     "JointNoise": "joint_noise",
+    "Network": "neural_measurement_noise",
+    "NeuralMeasurementNoise": "neural_measurement_noise",
     "Rule": "fuzzy_rules",
     "SageHusa": "sage_husa",
     "SampledSet": "fuzzy_sets",

@@ -41,6 +41,15 @@ _COMPONENTS = (
     ),
     Component(
         kind="adapter",
+        name="neural_measurement_noise",
+        target="tracker_adaptive.neural_measurement_noise:NeuralMeasurementNoise",
+        summary="Measurement noise from a small neural network that reads the degree of mismatch.",
+        paper="4",
+        equations=("future work",),
+        tags=("measurement noise", "neural network", "traced", "window"),
+    ),
+    Component(
+        kind="adapter",
         name="joint_noise",
         target="tracker_adaptive.joint_noise:JointNoise",
         summary="An adapter of measurement noise and one of process noise side by side.",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from tracker_papers.paper4.beyond import Beyond
     from tracker_papers.paper4.study import Everything, Linear
 
 PLAIN, FUZZY, TRUE, UNSCENTED = PALETTE[0], PALETTE[1], PALETTE[2], PALETTE[3]
@@ -741,4 +742,79 @@ def published(rows: Sequence[ResultRow]) -> Figure:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_yticks(range(len(order)), [name.replace("table", "Table ") for name in order])
     axes.invert_yaxis()
+    return picture
+
+
+# ----------------------------------------------------------------------------------- beyond
+def beyond_pictures(more: Beyond, found: Everything) -> list[Picture]:
+    """Of the thesis's future work."""
+    return [
+        Picture(
+            "more_sensors", "Two to eight sensors",
+            "Left: the places, in the order in which they are added, and the target's path. Right: median position RMSE "
+            "with the middle 80 % of the runs of the fuzzy EKF; dotted, the value of two falling as one over the root "
+            "of the number.",
+            "Map of eight sensors, and error against their number.",
+            partial(more_sensors, more),
+        ),
+        Picture(
+            "stronger_optimisers", "Stronger optimisers",
+            "Lowest cost so far against evaluations, experiment R, median of the restarts.",
+            "Six falling curves.",
+            partial(stronger, more, found),
+        ),
+    ]  # fmt: skip
+
+
+def more_sensors(more: Beyond) -> Figure:
+    """Places, and error against number."""
+    from tracker_papers.paper4.beyond import AROUND
+    from tracker_papers.underwater_angles import START
+    from tracker_papers.underwater_multipath import KMH
+
+    picture = _figure(9.0, 4.2)
+    left, right = picture.subplots(1, 2)
+    start, t = np.array(START), np.array([0.0, 500.0])
+    left.plot(*(start[:2, None] + KMH * start[3:5, None] * t), color=INK, label="target")
+    for number, (x, y, _) in enumerate(AROUND, 1):
+        left.plot(x, y, "^", color=PLAIN, markersize=8)
+        side = -1 if number == 1 else 1
+        left.annotate(
+            f"{number}", (x, y), xytext=(0, 8 * side), textcoords="offset points", ha="center",
+            va="top" if side < 0 else "bottom",
+        )  # fmt: skip
+    left.set(xlabel="x [m]", ylabel="y [m]")
+    left.margins(0.1)
+    counts = np.array(list(more.sensors))
+    for name, label in (
+        ("ekf", "EKF, told wrongly"),
+        ("hand", "fuzzy EKF, by hand"),
+        ("true", "told the truth"),
+    ):
+        place = [o[name].place for o in more.sensors.values()]
+        low, middle, high = np.array([np.percentile(p, (10.0, 50.0, 90.0)) for p in place]).T
+        if name == "hand":
+            right.fill_between(counts, low, high, color=COLOURS[name], alpha=0.2, linewidth=0)
+            right.plot(counts, middle[0] * np.sqrt(counts[0] / counts), ":", color=INK)
+        right.plot(counts, middle, "o-", color=COLOURS[name], markersize=4, label=label)
+    right.set(yscale="log", xlabel="number of sensors", ylabel="position RMSE [m]", xticks=counts)
+    _plain(right.yaxis)
+    right.legend()
+    return picture
+
+
+def stronger(more: Beyond, found: Everything) -> Figure:
+    """Cost against evaluations of all optimisers."""
+    picture = _figure(8.0, 4.2)
+    axes = picture.subplots()
+    main = found.linear["R", next(iter(TRUE_R["R"]))].tuned
+    for tuned, style in ((main, "-"), (more.stronger, "--")):
+        for place, (name, best) in enumerate(tuned.history.items()):
+            evaluated = tuned.evaluations / len(best) * np.arange(1, len(best) + 1)
+            axes.plot(
+                evaluated, np.median(best, axis=1), style, color=PALETTE[place], label=name.upper()
+            )
+    axes.set(xlabel="evaluations of the cost", ylabel="lowest cost so far (eq. 3-19)", yscale="log")
+    _plain(axes.yaxis)
+    axes.legend(ncols=2)
     return picture

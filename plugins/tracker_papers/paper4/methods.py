@@ -104,6 +104,46 @@ def bounds(largest: Array) -> Array:
     return np.array(out)
 
 
+UNITS = 3
+"""Hidden units of the neural network that takes the fuzzy system's place: 9 numbers instead of 15."""
+
+
+def network_r(scene: tk.Scenario, scale: float = HAND) -> Any:
+    """A network in the place of each fuzzy system of `fuzzy_r`."""
+    one = tk.adapters.make("neural_measurement_noise", scale=scale)
+    return attrs.evolve(one, network=one.network * scene.sensor.space.size)
+
+
+def with_network(adapter: Any, numbers: Array, entries: int) -> Any:
+    """An adapter whose networks have these weights, biases and answers; its unit becomes one.
+
+    Shapes:
+        numbers ``(9 entries, *batch)``: for each entry three weights, three biases, three answers.
+    """
+    many = len(adapter.network) > 1
+    values: dict[str, Any] = {"scale": 1.0}
+    for entry in range(entries):
+        prefix = f"entry{entry + 1}_" if many else ""
+        block = numbers[3 * UNITS * entry : 3 * UNITS * (entry + 1)]
+        for j in range(UNITS):
+            for place, part in enumerate(("weight", "bias", "answer")):
+                values[f"{prefix}unit{j + 1}_{part}"] = block[UNITS * place + j]
+    return adapter.with_parameters(**values)
+
+
+def network_bounds(largest: Array) -> Array:
+    """Where the numbers of `with_network` may lie: steps at once to slopes over the whole mismatch.
+
+    Answers are those of `bounds`; their sign makes a mismatch lower the noise where it is positive.
+    """
+    out: list[tuple[float, float]] = []
+    for size in np.atleast_1d(largest):
+        out += [(0.2 / size, 20.0 / size)] * UNITS
+        out += [(-4.0, 4.0)] * UNITS
+        out += [(-0.25 * size, 0.0)] * UNITS
+    return np.array(out)
+
+
 def by_hand(scale: float, entries: int) -> Array:
     """The five rules made by hand as the numbers of `with_numbers`, ``(15 entries,)``."""
     one = np.array(

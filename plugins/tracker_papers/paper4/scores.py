@@ -16,6 +16,8 @@ import tracker as tk
 from tracker.algebra import at_once
 from tracker.metrics.consistency import nees
 from tracker.metrics.errors import error, squared_position_error
+from tracker.recursion import is_random
+from tracker.simulation import stream
 from tracker.types import Array, History
 
 WINDOW = 25
@@ -155,17 +157,19 @@ def measured(
     numbers = list(range(runs)) if isinstance(runs, int) else list(runs)
     pieces = [numbers[k : k + TILE] for k in range(0, len(numbers), TILE)]
     made = [scene.simulate(seed, piece, condition=condition) for piece in pieces]
-    noise = [
-        rms(np.asarray(scene.sensor.residual(*_swapped(one.record.z, seen(scene, one.truth)))))
-        for one in made
-    ]
+    noise = [rms(_between(scene, one.record.z, seen(scene, one.truth))) for one in made]
     out: dict[str, Outcome] = {}
     for name, one in estimators.items():
         parts, first = [], 0
         for simulation in made:
             count = len(simulation.runs)
             built = one(np.arange(first, first + count)) if callable(one) else one
-            history = tk.filter(built, simulation.record, simulation.prior, start=simulation.start)
+            rng = None
+            if is_random(built.filter):
+                rng = [stream(seed, run, "filter", condition) for run in simulation.runs]
+            history = tk.filter(
+                built, simulation.record, simulation.prior, start=simulation.start, rng=rng
+            )
             parts.append(_scored(built, simulation.truth, history, scene))
             first += count
         out[name] = _joined(parts)
@@ -173,9 +177,10 @@ def measured(
     return Outcomes(scene, np.concatenate(noise, axis=-1), out)
 
 
-def _swapped(z: Any, h: Array) -> tuple[Array, Array]:
-    """Time and components of both exchanged, as a sensor's residual takes components first."""
-    return np.moveaxis(np.asarray(z), 1, 0), np.moveaxis(h, 1, 0)
+def _between(scene: tk.Scenario, z: Any, h: Array) -> Array:
+    """Differences of measurements ``(T, m, *batch)``, through the sensor's residual."""
+    found = scene.sensor.residual(np.moveaxis(np.asarray(z), 1, 0), np.moveaxis(h, 1, 0))
+    return np.moveaxis(np.asarray(found), 0, 1)
 
 
 def seen(scene: tk.Scenario, x: Array) -> Array:
@@ -231,9 +236,7 @@ def _scored(estimator: Any, truth: Array, history: History, scene: tk.Scenario) 
     late = steps - min(LATE, steps)
     with np.errstate(all="ignore"):
         found = mismatch(history)
-        measured_off = np.moveaxis(
-            scene.sensor.residual(*_swapped(seen(scene, truth), seen(scene, mean))), 0, 1
-        )
+        measured_off = _between(scene, seen(scene, truth), seen(scene, mean))
         return Outcome(
             rms(off),
             rms(measured_off),

@@ -13,7 +13,7 @@ import tracker as tk
 from tracker.reproduction import Paper, Reproduction, paper_from_toml
 from tracker.types import Array
 from tracker_papers.flying_object import TRUE_R, flying_object
-from tracker_papers.paper4 import claims, figures, methods, tables
+from tracker_papers.paper4 import beyond, claims, figures, methods, tables
 from tracker_papers.paper4.scores import (
     LATE,
     Followed,
@@ -37,6 +37,9 @@ from tracker_papers.underwater_multipath import PRESETS, underwater_multipath
 CHOSEN = "ica"
 """The optimiser whose filter stands for "the" fuzzy filter, as in the thesis's later chapters."""
 
+BEYOND = 200
+"""Runs of each study of future work."""
+
 
 @attrs.frozen
 class Size:
@@ -51,7 +54,7 @@ class Size:
     readings: int
     """Runs of readings other than the adopted one, at most."""
     every: bool
-    """Whether every reading of the units is tried."""
+    """Whether every reading of the units is tried, and the thesis's future work."""
 
 
 FULL = Size(restarts=30, few=10, population=50, generations=30, readings=200, every=True)
@@ -117,7 +120,9 @@ class PaperFour:
 
         found = everything(runs, seed, size, tell)
         judged = _claims(paper, found, rng)
-        rows = tables.rows(paper, found, rng)
+        more = _beyond(found, min(runs, BEYOND), seed, size, tell) if size.every else None
+        beside = tables.cells(paper, found, rng)
+        rows = tuple(one.row for one in beside)
         tell()
         return Reproduction(
             paper=paper.number,
@@ -127,10 +132,32 @@ class PaperFour:
             rows=rows,
             claims=judged,
             errata=paper.errata,
-            tables=tables.tables(found, rng),
-            pictures=figures.pictures(found, rows),
-            notes=tables.NOTES,
+            tables=(
+                *tables.tables(found, beside, rng),
+                *([beyond.table(more, min(runs, BEYOND))] if more else []),
+            ),
+            pictures=(
+                *figures.pictures(found, rows),
+                *(figures.beyond_pictures(more, found) if more else []),
+            ),
+            notes=(*tables.NOTES, *([] if more else [tables.SHORTENED])),
         )
+
+
+def _beyond(
+    found: Everything, runs: int, seed: int, size: Size, tell: Callable[[], None]
+) -> beyond.Beyond:
+    main = found.linear["R", "text"]
+    return beyond.beyond(
+        main.tuned,
+        main.fresh,
+        next(iter(found.echoes.values())),
+        {m: next(o for (n, _), o in found.angles.items() if n == m) for m in MOTIONS},
+        runs,
+        seed,
+        {"population": size.population, "generations": size.generations},
+        tell,
+    )
 
 
 # --------------------------------------------------------------------------------- chapter 3
@@ -385,7 +412,9 @@ def _claims(paper: Paper, found: Everything, rng: np.random.Generator) -> tuple[
     }
     relative = {title: _relative(one) for title, one in titles.items()}
     return (
-        claims.fuzzy_beats_and_order(paper, rmse, cost, error, rng),
+        claims.fuzzy_beats(paper, rmse, rng),
+        claims.in_order(paper, "1b", cost),
+        claims.in_order(paper, "1c", error),
         claims.measurement_rather_than_process(paper, rmse, rng),
         claims.fuzzy_then_unscented_then_extended(paper, place, rng),
         claims.mismatch_vanishes(paper, late, rng),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 
 from tracker.metrics.consistency import Interval
@@ -70,6 +71,11 @@ NOTES = (
     ),
 )
 
+SHORTENED = (
+    "Quick: fewer readings of the units, small optimisations, and none of the thesis's future work; the full run "
+    "has all of them."
+)
+
 
 def _mean(values: Array) -> Array:
     return np.asarray(values.mean(axis=-1))
@@ -85,34 +91,84 @@ def _one_run(label: str, values: Array, rng: np.random.Generator) -> Reading:
 
 
 # ------------------------------------------------------------------------------------ rows
-def rows(paper: Paper, found: Everything, rng: np.random.Generator) -> tuple[ResultRow, ...]:
-    """A verdict for every published number."""
-    make: Mapping[str, Callable[..., ResultRow]] = {
-        "table3-1": _linear_row,
-        "table3-2": _cost_row,
-        "table3-3": _linear_row,
-        "table3-4": _cost_row,
+@attrs.frozen
+class Cell:
+    """A published number beside ours, and where it lies under each reading."""
+
+    number: Published
+    ours: Interval
+    runs: int
+    readings: tuple[Reading, ...]
+    note: str
+
+    @property
+    def row(self) -> ResultRow:
+        """With its verdict."""
+        return row(self.number, self.ours, self.runs, self.readings, note=self.note)
+
+
+def cells(paper: Paper, found: Everything, rng: np.random.Generator) -> tuple[Cell, ...]:
+    """Every published number."""
+    make: Mapping[str, Callable[..., Cell]] = {
+        "table3-1": _linear_cell,
+        "table3-2": _cost_cell,
+        "table3-3": _linear_cell,
+        "table3-4": _cost_cell,
     }
     return tuple(
-        make.get(number.id.split("/")[0], _underwater_row)(number, found, rng)
+        make.get(number.id.split("/")[0], _underwater_cell)(number, found, rng)
         for number in paper.published
     )
 
 
-def _row(
+def _cell(
     number: Published,
     by_reading: Mapping[str, Array],
     rng: np.random.Generator,
     note: str = "",
-) -> ResultRow:
+) -> Cell:
     """The first reading is ours; the others are ranges."""
     label, values = next(iter(by_reading.items()))
-    readings = [_one_run(name, one, rng) for name, one in by_reading.items()]
+    readings = tuple(_one_run(name, one, rng) for name, one in by_reading.items())
     finite = values[np.isfinite(values)]
     middle, ninety = np.percentile(finite, (50, 90)) if finite.size else (np.nan, np.nan)
     said = f"Ours is reading {label}: median {middle:.4g}, 90th percentile {ninety:.4g}. {note}"
     ours = bootstrap_interval(_mean, values, rng=rng)
-    return row(number, ours, len(values), readings, note=said.rstrip())
+    return Cell(number, ours, len(values), readings, said.rstrip())
+
+
+def together(found: Sequence[Cell]) -> Table:
+    """How many cells of each table one and the same reading gives."""
+    lines = []
+    for table in dict.fromkeys(one.number.id.split("/")[0] for one in found):
+        mine = [one for one in found if one.number.id.startswith(f"{table}/")]
+        for part, wanted in (
+            ("all cells", ""),
+            ("positions", "x1 x2 x3"),
+            ("velocities", "x4 x5 x6"),
+        ):
+            chosen = [one for one in mine if not wanted or one.number.id.split("/")[1] in wanted]
+            if not chosen or (wanted and table.startswith("table3")):
+                continue
+            for name in dict.fromkeys(r.name for one in chosen for r in one.readings):
+                asked = [
+                    (one, reading)
+                    for one in chosen
+                    for reading in one.readings
+                    if reading.name == name
+                ]
+                held = sum(reading.gives(one.number) for one, reading in asked)
+                lines.append(
+                    (table.replace("table", "Table "), part, name, f"{held} of {len(asked)}")
+                )
+    return Table(
+        "readings",
+        "Which reading gives which cells",
+        ("table", "cells", "reading", "given"),
+        tuple(lines),
+        "A cell counts as reproduced if any one reading gives it; here is what one and the same reading gives, of "
+        "the cells that it speaks of. In chapter 5 positions speak for km/h, velocities for m/s: no reading gives both.",
+    )
 
 
 def _linear_value(outcomes: Outcomes, index: str, column: str) -> Array:
@@ -126,7 +182,7 @@ def _linear_value(outcomes: Outcomes, index: str, column: str) -> Array:
     return np.asarray((one.j2 if what == "j2" else one.rmse)[which])
 
 
-def _linear_row(number: Published, found: Everything, rng: np.random.Generator) -> ResultRow:
+def _linear_cell(number: Published, found: Everything, rng: np.random.Generator) -> Cell:
     table, index, column = number.id.split("/")
     experiment = "R" if table == "table3-1" else "Q"
     by: dict[str, Array] = {}
@@ -144,7 +200,7 @@ def _linear_row(number: Published, found: Everything, rng: np.random.Generator) 
     note = ""
     if index.startswith("j2"):
         note = "J2 is J3 of the same state by definition, which the printed numbers are not."
-    return _row(number, by, rng, note)
+    return _cell(number, by, rng, note)
 
 
 def _extreme(values: Array, what: str) -> Array:
@@ -159,7 +215,7 @@ def _of_fifteen(costs: Array, what: str, rng: np.random.Generator) -> Interval:
     return Interval(float(values.mean()), float(low), float(high))
 
 
-def _cost_row(number: Published, found: Everything, rng: np.random.Generator) -> ResultRow:
+def _cost_cell(number: Published, found: Everything, rng: np.random.Generator) -> Cell:
     table, optimiser, what = number.id.split("/")
     experiment = "R" if table == "table3-2" else "Q"
     readings, ours = [], None
@@ -178,7 +234,7 @@ def _cost_row(number: Published, found: Everything, rng: np.random.Generator) ->
         f"{tuned.evaluations} evaluations each."
     )
     assert ours is not None  # noqa: S101 - there is at least one reading
-    return row(number, ours, count, readings, note=note)
+    return Cell(number, ours, count, tuple(readings), note)
 
 
 def _underwater_value(one: Outcome, index: str) -> Array:
@@ -187,7 +243,7 @@ def _underwater_value(one: Outcome, index: str) -> Array:
     return np.asarray(one.rmse[int(index[1:]) - 1])
 
 
-def _underwater_row(number: Published, found: Everything, rng: np.random.Generator) -> ResultRow:
+def _underwater_cell(number: Published, found: Everything, rng: np.random.Generator) -> Cell:
     table, index, column = number.id.split("/")
     name = UNDERWATER_COLUMNS[column]
     if table == "table4-1":
@@ -200,15 +256,18 @@ def _underwater_row(number: Published, found: Everything, rng: np.random.Generat
         first = next(iter(by_reading))
         by[f"{first}, rules by hand"] = _underwater_value(by_reading[first]["hand"], index)
     note = "J4 is 5000 times the RMS of DOM(1,1)." if index == "j4" else ""
-    return _row(number, by, rng, note)
+    return _cell(number, by, rng, note)
 
 
 # ----------------------------------------------------------------------------------- tables
-def tables(found: Everything, rng: np.random.Generator) -> tuple[Table, ...]:
+def tables(
+    found: Everything, beside: Sequence[Cell], rng: np.random.Generator
+) -> tuple[Table, ...]:
     """The tables of the report."""
     return (
+        together(beside),
         *_linear_tables(found, rng),
-        _ranking_table(found, rng),
+        _ranking_table(found),
         _echo_table(found, rng),
         _angle_table(found, rng),
         _best_table(found, rng),
@@ -261,8 +320,7 @@ def _linear_tables(found: Everything, rng: np.random.Generator) -> list[Table]:
     return out
 
 
-def _ranking_table(found: Everything, rng: np.random.Generator) -> Table:
-    del rng
+def _ranking_table(found: Everything) -> Table:
     lines = []
     for experiment in TRUE_R:
         tuned = found.linear[experiment, next(iter(TRUE_R[experiment]))].tuned
@@ -405,8 +463,3 @@ def _printed_table(found: Everything, rng: np.random.Generator) -> Table:
         "Median RMSE over the runs [m] with its 95 % interval. With two wrong signs the EKF diverges, the more the "
         "more it trusts its measurements; a filter without Jacobians is untouched.",
     )
-
-
-def published_of(result: Sequence[ResultRow], start: str) -> dict[str, Any]:
-    """Rows of a table by the rest of their id."""
-    return {one.id[len(start) + 1 :]: one for one in result if one.id.startswith(f"{start}/")}

@@ -42,35 +42,25 @@ LANES = 1536
 
 @attrs.frozen(eq=False)
 class Problem:
-    """A fuzzy adapter to be tuned on runs of a scenario, one for each restart.
+    """An adapter to be tuned on runs of a scenario, one for each restart.
 
-    ``largest`` is the largest mismatch of the filter without adapter on these runs, by entry, in
-    variances told: it sets the bounds. ``shared`` says which block of numbers each entry of the
-    adapter takes, so that both sensors may share a system.
+    ``bounds`` ``(d, 2)`` of its numbers; ``build`` makes the adapter of numbers ``(d, *batch)``.
+    ``largest`` is the largest mismatch of the filter without adapter on these runs, by block of
+    numbers, in variances told: it sets the bounds.
     """
 
     scene: tk.Scenario
     name: str
-    adapter: Any
+    bounds: Array = attrs.field(repr=False)
+    adapted: Callable[[Array], Any] = attrs.field(repr=False)
     largest: Array = attrs.field(repr=False)
-    shared: tuple[int, ...]
     simulation: Any = attrs.field(repr=False)
     objective: str = "dom"
-
-    @property
-    def bounds(self) -> Array:
-        """``(15 blocks, 2)``."""
-        return methods.bounds(self.largest)
 
     @property
     def restarts(self) -> int:
         """As many as there are runs to tune on."""
         return len(self.simulation.runs)
-
-    def adapted(self, numbers: Array) -> Any:
-        """The adapter with these numbers, ``(15 blocks, *batch)``."""
-        spread = np.concatenate([numbers[15 * b : 15 * b + 15] for b in self.shared])
-        return methods.with_numbers(self.adapter, spread, len(self.shared))
 
     def estimator(self, numbers: Array) -> Any:
         """The filter with the adapter of these numbers."""
@@ -140,7 +130,11 @@ def problem(
     shared: Sequence[int],
     objective: str = "dom",
 ) -> Problem:
-    """Tune on one run for each restart; bounds by the mismatch of the filter without adapter."""
+    """Tune on one run for each restart; bounds by the mismatch of the filter without adapter.
+
+    ``shared`` says which block of numbers each entry of the adapter takes, so that both sensors may
+    share a system.
+    """
     made = scene.simulate(seed, restarts, condition=TRAINING)
     plain = methods.estimator(scene, name)
     history = tk.filter(plain, made.record, made.prior, start=made.start)
@@ -153,11 +147,30 @@ def problem(
         whole, unit = np.abs(mismatch(history).dom), told_variances(scene)
     # the window's first, empty part says nothing about the noise
     largest = np.median(whole[24:].max(axis=0), axis=-1) / unit
-    blocks = [
-        float(np.mean([largest[i] for i, b in enumerate(shared) if b == block]))
-        for block in range(max(shared) + 1)
-    ]
-    return Problem(scene, name, adapter, np.array(blocks), tuple(shared), made, objective)
+    blocks = np.array(
+        [
+            float(np.mean([largest[i] for i, b in enumerate(shared) if b == block]))
+            for block in range(max(shared) + 1)
+        ]
+    )
+    if hasattr(adapter, "system"):
+        limits, build = methods.bounds(blocks), _spread(adapter, shared, 15, methods.with_numbers)
+    else:
+        limits = methods.network_bounds(blocks)
+        build = _spread(adapter, shared, 3 * methods.UNITS, methods.with_network)
+    return Problem(scene, name, limits, build, blocks, made, objective)
+
+
+def _spread(
+    adapter: Any, shared: Sequence[int], size: int, build: Callable[[Any, Array, int], Any]
+) -> Callable[[Array], Any]:
+    """The adapter of some numbers, of which each entry takes its own block of ``size``."""
+
+    def adapted(numbers: Array) -> Any:
+        spread = np.concatenate([numbers[size * b : size * b + size] for b in shared])
+        return build(adapter, spread, len(shared))
+
+    return adapted
 
 
 @attrs.frozen(eq=False)
