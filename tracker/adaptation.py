@@ -112,12 +112,19 @@ def _of_another(model: Any, name: str) -> Any:
     return found
 
 
-def _beside(noise: Any, x: Any) -> Any:
-    """A covariance with as many batch axes as the state ``x``: those that are missing are shared."""
+def _beside(noise: Any, x: Any, axes: int = 2) -> Any:
+    """A covariance with as many batch axes as the state ``x``: those that are missing are shared.
+
+    They are put first, since what a filter keeps several of for each lane stands before the lanes:
+    without them it would broadcast over the wrong axes. ``axes``: 1 for a vector.
+    """
     lead = np.ndim(x) - 1
-    if noise.ndim == 2:
-        return noise.reshape(*noise.shape, *(1,) * lead)
-    if not lead and noise.shape[2:] == (1,):
+    missing = lead - (noise.ndim - axes)
+    if missing > 0:
+        return noise.reshape(*noise.shape[:axes], *(1,) * missing, *noise.shape[axes:])
+    if missing == 0:
+        return noise
+    if not lead and noise.shape[axes:] == (1,):
         return noise[..., 0]
     if x.dtype.hasobject and not lead:
         raise TraceError("a covariance that differs between lanes was given as a matrix")
@@ -153,12 +160,12 @@ class _ScaledNoise:
     def Q(self, x: Array, dt: Any) -> Array:
         """Covariance of the process noise."""
         own = self._model.Q(x, dt)
-        return _scaled(own, self._scale) if self._name == "Q" else own  # type: ignore[no-any-return]
+        return _scaled(own, _beside(self._scale, x, 1)) if self._name == "Q" else own  # type: ignore[no-any-return]
 
     def R(self, x: Array, pose: Any = None) -> Array:
         """Covariance of the measurement noise."""
         own = self._model.R(x, pose)
-        return _scaled(own, self._scale) if self._name == "R" else own  # type: ignore[no-any-return]
+        return _scaled(own, _beside(self._scale, x, 1)) if self._name == "R" else own  # type: ignore[no-any-return]
 
     def lanes(self, index: Any) -> _ScaledNoise:
         """The same model cut to some lanes."""

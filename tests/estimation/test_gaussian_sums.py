@@ -4,6 +4,12 @@ import numpy as np
 import pytest
 
 import tracker as tk
+from tracker.adaptation import (
+    with_noise,
+    with_process_noise,
+    with_scaled_noise,
+    with_scaled_process_noise,
+)
 from tracker.errors import CapabilityError, DomainError
 from tracker.models import ComponentSensor
 from tracker.types import SPATIAL
@@ -309,3 +315,29 @@ def test_merging_goes_on_after_a_member_was_given_up():
     assert np.sort(belief.weights) == pytest.approx([0.0, 0.0, 0.2, 0.4, 0.4]), (
         "two pairs are close"
     )
+
+
+@pytest.mark.parametrize("members", [2, 3])
+def test_noise_that_differs_between_lanes_is_that_of_all_members(members):
+    """As many members as lanes, or as measured components: nothing may broadcast over the wrong axis."""
+    sigma, density = np.array([0.5, 2.0]), np.array([0.1, 3.0])
+    plain, still = position(1.0), constant_velocity(1.0)
+    R, dt = np.einsum("ij,b->ijb", np.eye(2), sigma**2), 1.0
+    Q = still.Q(PRIOR.mean, dt)[..., None] * density
+    rule = GaussianSumFilter("ekf1", components=members)
+    z = np.random.default_rng(4).standard_normal((2, 2))
+
+    def after(motion, sensor):
+        prior = tk.Gaussian(np.repeat(PRIOR.mean[:, None], 2, axis=1), PRIOR.cov)
+        state = rule.predict(rule.begin(prior, motion), motion, dt)
+        return rule.update(state, sensor.over(motion.space), z)[0].moments()
+
+    want = after(constant_velocity(density), position(sigma))
+    for motion in (
+        with_process_noise(still, Q),
+        with_scaled_process_noise(still, np.ones((4, 1)) * density),
+    ):
+        for sensor in (with_noise(plain, R), with_scaled_noise(plain, np.ones((2, 1)) * sigma**2)):
+            found = after(motion, sensor)
+            np.testing.assert_allclose(found.mean, want.mean, atol=1e-12)
+            np.testing.assert_allclose(found.cov, want.cov, atol=1e-12)
