@@ -404,15 +404,6 @@ def monte_carlo(
             raise DomainError(
                 wording(f"argument {name!r}", got=value, expected="at least 1", do="pass more")
             )
-    if not len(scenario.t):
-        raise DomainError(
-            wording(
-                f"scenario {scenario.name!r}",
-                got="no measurement times",
-                expected="at least one step to score",
-                do="give it times t",
-            )
-        )
     if not isinstance(scenario, Scenario):
         raise CapabilityError(
             wording(
@@ -420,6 +411,15 @@ def monte_carlo(
                 got=repr(scenario)[:80],
                 expected="a Scenario",
                 do="pass tk.scenario(name)",
+            )
+        )
+    if not len(scenario.t):
+        raise DomainError(
+            wording(
+                f"scenario {scenario.name!r}",
+                got="no measurement times",
+                expected="at least one step to score",
+                do="give it times t",
             )
         )
     if not isinstance(estimators, (Estimator, Mapping)):

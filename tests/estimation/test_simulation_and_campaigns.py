@@ -337,3 +337,10 @@ def test_an_estimator_cites_the_components_it_was_given_by_name_or_as_objects(es
         "paper 4",
     ]
     assert "paper 0, eq. 24" in lines[4]
+
+
+def test_a_scenario_by_its_name_alone_is_refused_in_words():
+    scene = tk.scenario("two_stations", steps=2)
+    estimator = tk.estimator("ekf1", motion=scene.motion, sensor=scene.sensor)
+    with pytest.raises(CapabilityError, match="a Scenario"):
+        tk.monte_carlo(estimator, "two_stations")
