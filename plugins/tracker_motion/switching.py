@@ -35,6 +35,10 @@ def switching(
     the matrix of a step is then ``expm(G dt)``, so that two half steps equal one step.
     ``initial`` holds the probabilities of the modes at the time of the prior, by default equal.
 
+    Only filters that know of modes (`imm`) keep them apart. To every other filter, ekf1 and ukf say, this
+    is one motion: the average of the modes with their *initial* probabilities, whatever the
+    measurements say, and with a covariance wide enough for all of them.
+
     Modes may have different states. Components with the same name are the same; the state of the
     whole is the union, in the order in which names first appear. What a component that a mode lacks
     means there is for the filter to say (`tracker_kalman.InteractingMultipleModels`).

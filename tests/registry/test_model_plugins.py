@@ -1,6 +1,7 @@
 """What the motion and sensor plugins register: every factory, with its sources, and nothing heavy."""
 
 import importlib
+import inspect
 import subprocess
 import sys
 
@@ -61,3 +62,10 @@ def test_listing_a_plugin_imports_none_of_its_models(kind):
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == f"['{name}._plugin']"
+
+
+def test_switching_is_recorded_as_what_most_filters_average():
+    component = registered("motion")["switching"]
+    assert "others average" in component.summary  # what `tracker list` and the catalogue print
+    said = " ".join((inspect.getdoc(component.load()) or "").split())  # and `tracker show`
+    assert "To every other filter, ekf1 and ukf say, this is one motion: the average" in said
