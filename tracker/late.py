@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
-from numbers import Integral
 from typing import Any
 
 import attrs
@@ -39,7 +38,7 @@ def whole_steps(what: str, value: Any, least: int) -> None:
     Raises:
         DomainError: if it is not a whole number, or below ``least``.
     """
-    if isinstance(value, Integral) and not isinstance(value, bool) and value >= least:
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= least:
         return
     raise DomainError(
         wording(
