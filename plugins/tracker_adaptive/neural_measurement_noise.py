@@ -85,7 +85,8 @@ def by_hand() -> Network:
 
 
 def _networks(value: Any) -> tuple[Network, ...]:
-    found = (value,) if isinstance(value, Network) else tuple(value)
+    given = by_hand() if value is None else value
+    found = (given,) if isinstance(given, Network) else tuple(given)
     if not found or any(not isinstance(one, Network) for one in found):
         raise DomainError(
             wording(
@@ -120,9 +121,7 @@ class NeuralMeasurementNoise:
     Laws: those of kind "adapter"; a network that answers as a fuzzy system does adapts as it does.
     """
 
-    network: tuple[Network, ...] = attrs.field(
-        default=None, converter=lambda v: _networks(by_hand() if v is None else v)
-    )
+    network: tuple[Network, ...] = attrs.field(default=None, converter=_networks)
     scale: Any = attrs.field(default=0.125, validator=between(0.0, np.inf, OWNER))
     window: int = attrs.field(default=25, validator=at_least(1, OWNER))
     floor: Any = attrs.field(default=1e-3, validator=between(0.0, np.inf, OWNER))

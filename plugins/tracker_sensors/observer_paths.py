@@ -5,6 +5,7 @@ Paths that are chosen for what they let one see are planners' business.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import attrs
@@ -124,6 +125,10 @@ class Weaving:
         return np.asarray(_moved(self.place, self.velocity, times) + swung)
 
 
+def _all(paths: Iterable[ObserverPath]) -> tuple[ObserverPath, ...]:
+    return tuple(paths)
+
+
 @attrs.frozen(eq=False)
 class Together:
     """Several observers: their poses end to end, as a stack of sensors reads them.
@@ -136,7 +141,7 @@ class Together:
     [0.0, 1.0, 2.0, 3.0]
     """
 
-    paths: tuple[ObserverPath, ...] = attrs.field(converter=tuple)
+    paths: tuple[ObserverPath, ...] = attrs.field(converter=_all)
 
     def pose(self, t: Any) -> Array:
         """Where they are at some times."""

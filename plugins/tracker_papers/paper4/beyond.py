@@ -265,7 +265,7 @@ def more_sensors(
             truth_sensor=angle_sensors(TRUE_ANGLES, "1e-4 rad^2", count),
             pose=pose,
         )
-        right = attrs.evolve(scene, sensor=scene.truth_sensor)
+        right = attrs.evolve(scene, sensor=scene.true_sensor)
         made = {
             "ekf": methods.estimator(scene, "ekf1"),
             "true": methods.estimator(right, "ekf1"),

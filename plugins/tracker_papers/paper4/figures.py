@@ -83,8 +83,8 @@ def pictures(found: Everything, rows: Sequence[ResultRow]) -> tuple[Picture, ...
         ),
     ]  # fmt: skip
     out += _echo_pictures(found)
-    for motion, numbers in zip(MOTIONS, _ANGLE_NUMBERS, strict=True):
-        out += _angle_pictures(found, motion, numbers)
+    for motion, printed in zip(MOTIONS, _ANGLE_NUMBERS, strict=True):
+        out += _angle_pictures(found, motion, printed)
     return (
         *out,
         Picture(

@@ -52,7 +52,7 @@ def estimator(scene: tk.Scenario, name: str, adapter: Any = None, **options: Any
 
 def fuzzy(what: str, systems: int, *, scale: float = HAND, **options: Any) -> Any:
     """The adapter of fuzzy R or fuzzy Q with the five rules by hand, one system for each entry."""
-    one = tk.adapters.make(f"fuzzy_{what}_noise", scale=scale, **options)
+    one: Any = tk.adapters.make(f"fuzzy_{what}_noise", scale=scale, **options)
     return attrs.evolve(one, system=one.system * systems)
 
 
@@ -110,7 +110,7 @@ UNITS = 3
 
 def network_r(scene: tk.Scenario, scale: float = HAND) -> Any:
     """A network in the place of each fuzzy system of `fuzzy_r`."""
-    one = tk.adapters.make("neural_measurement_noise", scale=scale)
+    one: Any = tk.adapters.make("neural_measurement_noise", scale=scale)
     return attrs.evolve(one, network=one.network * scene.sensor.space.size)
 
 

@@ -291,7 +291,7 @@ def everything(runs: int, seed: int, size: Size, tell: Callable[[], None]) -> Ev
     by_error["echoes"] = tune(attrs.evolve(asked, objective="error"), only, **budget)
     tell()
     numbers = echo_tuned.median(CHOSEN)
-    echoes = {}
+    echoes: dict[str, Outcomes] = {}
     for label, options in echo_readings(size.every).items():
         first = not echoes
         scene = underwater_multipath(**options)

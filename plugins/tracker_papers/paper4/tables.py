@@ -204,7 +204,9 @@ def _linear_cell(number: Published, found: Everything, rng: np.random.Generator)
 
 
 def _extreme(values: Array, what: str) -> Array:
-    return np.asarray({"best": np.min, "mean": np.mean, "worst": np.max}[what](values, axis=-1))
+    if what == "mean":
+        return np.asarray(values.mean(axis=-1))
+    return np.asarray(values.min(axis=-1) if what == "best" else values.max(axis=-1))
 
 
 def _of_fifteen(costs: Array, what: str, rng: np.random.Generator) -> Interval:

@@ -109,7 +109,7 @@ def told_variances(scene: tk.Scenario) -> Array:
     x = scene.prior.mean[:, None]
     pose = None if scene.pose is None else scene.pose[0]
     R = np.asarray(scene.sensor.R(x, pose))
-    return np.einsum("ii...->i...", R.reshape(*R.shape[:2], -1)[..., 0])
+    return np.array(np.diagonal(R.reshape(*R.shape[:2], -1)[..., 0]))
 
 
 def true_variances(scene: tk.Scenario, what: str) -> Array:
@@ -117,7 +117,7 @@ def true_variances(scene: tk.Scenario, what: str) -> Array:
     if what == "R":
         return told_variances(attrs.evolve(scene, sensor=scene.true_sensor))
     Q = np.asarray(scene.true_motion.Q(scene.prior.mean[:, None], 1.0))
-    return np.einsum("ii...->i...", Q.reshape(*Q.shape[:2], -1)[..., 0])
+    return np.array(np.diagonal(Q.reshape(*Q.shape[:2], -1)[..., 0]))
 
 
 def problem(
@@ -214,7 +214,6 @@ def tune(
     population: int,
     generations: int,
     seed: int,
-    told: Callable[[], None] = lambda: None,
 ) -> Tuned:
     """Every optimiser on the same runs with the same budget, ``population`` times ``generations``."""
     numbers, cost, history = {}, {}, {}
@@ -232,5 +231,4 @@ def tune(
         )
         numbers[label], cost[label] = found.x[:, 0], found.cost[0]
         history[label] = found.best[:, 0]
-        told()
     return Tuned(problem, numbers, cost, history, budget)
