@@ -54,7 +54,10 @@ sphinx_gallery_conf = {
     "matplotlib_animations": False,
     "nested_sections": False,
 }
-suppress_warnings = ["config.cache"]  # the gallery's settings hold functions
+suppress_warnings = [
+    "config.cache",  # the gallery's settings hold functions
+    "ref.python",  # two modules may have a class of the same name
+]
 
 html_theme = "furo"
 html_title = "tracker"

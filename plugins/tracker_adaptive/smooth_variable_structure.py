@@ -61,12 +61,9 @@ class SmoothVariableStructure:
     ``inner``: any filter whose belief is a Gaussian, or its name; it predicts and projects. In an
     estimator of several sensors, what is left belongs to components by their place.
 
-    Numbers:
-        inner: the filter that predicts and projects.
-        boundary: width of the smoothing boundary layer, in standard deviations of the sensor; may
-            differ per lane.
-        convergence: gamma, in (0, 1): the share of an error that remains; may differ per lane.
-        share: of R, beside ``H P H'``, above 0; may differ per lane.
+    ``inner`` predicts and projects; ``boundary`` is the width of the smoothing boundary layer in
+    standard deviations of the sensor; ``convergence``, gamma in (0, 1), the share of an error that
+    remains; ``share`` that of R beside ``H P H'``, above 0. All but the first may differ per lane.
 
     Raises:
         DomainError: for numbers out of range.
