@@ -448,7 +448,7 @@ class Study(Protocol):
 
     @property
     def quick_runs(self) -> int:
-        """Runs of a quick one, which takes less than half a minute."""
+        """Runs of a quick one, which takes a minute at most."""
         ...
 
     def run(

@@ -36,7 +36,7 @@ from tracker.reproduction import Reproduction, Study, Table
     show_default=True,
     help="Seed of every random number.",
 )
-@click.option("--quick", is_flag=True, help="Fewer runs and smaller studies: under half a minute.")
+@click.option("--quick", is_flag=True, help="Fewer runs and smaller studies: a minute at most.")
 def reproduce(paper: str, out: str, runs: int | None, seed: int, *, quick: bool) -> None:  # fmt: skip
     """Reproduce the paper of number PAPER, or what a reproduction component of that name does.
 
