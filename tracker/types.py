@@ -316,7 +316,7 @@ class Gaussian:
 
     def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None:
         if isinstance(mean, np.ndarray) and mean.dtype.hasobject:  # components of a traced step
-            self.__attrs_init__(mean, cov)
+            self.__attrs_init__(mean, np.asarray(cov))
             return
         mean = np.array(as_array(mean, "mean"))
         if mean.ndim == 0:

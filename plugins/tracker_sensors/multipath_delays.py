@@ -117,7 +117,7 @@ def multipath_delays(
             )
         )
     # One number, or one for each lane, serves all paths; a tuple or list holds one for each path.
-    sigmas = list(sigma) if isinstance(sigma, (tuple, list)) else [sigma] * len(routes)
+    sigmas: list[Any] = list(sigma) if isinstance(sigma, (tuple, list)) else [sigma] * len(routes)
     if len(sigmas) != len(routes):
         raise ShapeError(
             wording(
