@@ -45,6 +45,7 @@ class ModeSmoother:
     """
 
     needs = ("beliefs", "jacobian")
+    follows = "imm"
     tags = ("opaque",)
     why_opaque = "it looks at the eigenvectors of covariances"
 

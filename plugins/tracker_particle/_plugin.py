@@ -11,20 +11,6 @@ def tracker_components(registry: Registry) -> None:
         registry.add(component)
 
 
-_LAWS_ON_MOMENTS = (
-    "lane by lane",
-    "read-only input",
-    "no global random state",
-    "same call, same answer",
-    "pickles",
-    "last step equals the filter",
-    "equals batch least squares",
-    "never above the filter",
-    "covariance is a covariance",
-    "a diverged lane harms no neighbour",
-    "keeps the history",
-)
-
 _COMPONENTS = (
     Component(
         kind="filter",
@@ -66,8 +52,5 @@ _COMPONENTS = (
         summary="Backward simulation over particles: draws of whole paths given all measurements.",
         paper="Godsill, Doucet and West 2004",
         tags=("particles", "fixed-interval", "random", "opaque"),
-        deviations=dict.fromkeys(
-            _LAWS_ON_MOMENTS, "it smooths particles: the kit's histories have none"
-        ),
     ),
 )

@@ -48,6 +48,7 @@ class BackwardSimulation:
     trajectories: Annotated[int, "1"] = attrs.field(default=100, validator=a_count)
 
     needs = ("beliefs",)
+    follows = "bootstrap"
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory."""

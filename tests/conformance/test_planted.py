@@ -22,6 +22,7 @@ from tracker_kalman.rts import RauchTungStriebel
 from tracker_optimise.genetic import Genetic
 from tracker_optimise.imperialist import Imperialist
 from tracker_optimise.particle_swarm import ParticleSwarm
+from tracker_particle.backward_simulation import BackwardSimulation
 
 STATIONS = np.array([[1.0, 1.0], [400.0, 110.0]])  # paper 0, eq. 34, in metres
 
@@ -305,6 +306,23 @@ class Reflected(RauchTungStriebel):
         return Gaussian.trusted(right.mean, filtered.cov + (filtered.cov - right.cov))
 
 
+class ForgetsTheirFuture(BackwardSimulation):
+    def smooth(self, history, motion):
+        return attrs.evolve(history, smoothed=history.filtered)
+
+
+class OfMoreNoise(BackwardSimulation):
+    def smooth(self, history, motion):
+        return super().smooth(history, with_scaled_process_noise(motion, np.array(4.0)))
+
+
+class WeighsInPlace(BackwardSimulation):
+    def smooth(self, history, motion):
+        out = super().smooth(history, motion)
+        history.beliefs.filtered[0].log_weights[:] += 1.0
+        return out
+
+
 class OpenToNaN(ChiSquareGate):
     def admits(self, distance, m):
         return ~(np.asarray(distance) > self.threshold(m))
@@ -538,6 +556,9 @@ PLANTED = [
     (ForgetsTheFuture(), "equals batch least squares"),
     (SmoothsTheEnd(), "last step equals the filter"),
     (Reflected(), "never above the filter"),
+    (ForgetsTheirFuture(), "never above the filter on average"),
+    (OfMoreNoise(), "equals batch least squares on average"),
+    (WeighsInPlace(), "keeps the history"),
     (OpenToNaN(), "NaN never passes"),
     (BackwardsGate(), "threshold depends only on m"),
     (GivesTwice(), "a detection is given away at most once"),

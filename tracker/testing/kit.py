@@ -21,7 +21,16 @@ if TYPE_CHECKING:
     from tracker.registry import Component
 
 FLOOR: Mapping[str, int] = MappingProxyType(
-    {"motion": 10, "sensor": 8, "filter": 11, "smoother": 11, "adapter": 14, "gate": 8, "associator": 10, "optimiser": 15}
+    {
+        "motion": 10,
+        "sensor": 8,
+        "filter": 11,
+        "smoother": 9,
+        "adapter": 14,
+        "gate": 8,
+        "associator": 10,
+        "optimiser": 15,
+    }
 )
 """How many laws must at least have run: what a component without any optional ability meets."""
 
