@@ -602,6 +602,9 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
         "count": count,
         "finite": finite.astype(np.float64),
     }
+    if not smooth:  # NIS is NaN, and the estimate is not, where an update lost its digits
+        lost = np.isnan(nis)
+        values |= {"nis": np.where(lost, 0.0, nis), "count": np.where(lost, 0.0, count)}
     partial = {k: _blocks(np.where(finite, v, 0.0)) for k, v in values.items()}
     return _Reduced(per_run, partial)
 

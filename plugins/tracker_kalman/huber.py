@@ -11,7 +11,7 @@ from tracker.algebra import apply, factor, inverse, symmetric_product, transpose
 from tracker.models import absolute, maximum
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.inner import at_least, gaussian_filter, positive_number
+from tracker_kalman.inner import at_least, conditioning_filter, positive_number
 from tracker_kalman.reweighted import conditioned_with
 
 
@@ -39,11 +39,13 @@ class HuberUpdate:
         threshold it is the inner filter; it minimises Huber's cost.
     """
 
-    inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
+    inner: Any = attrs.field(default="ekf1", converter=conditioning_filter)
     threshold: Annotated[float, "standard deviations"] = attrs.field(
         default=1.345, validator=positive_number("filter 'huber'")
     )
     reweightings: int = attrs.field(default=5, validator=at_least(1, "filter 'huber'"))
+
+    own_update = True
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -34,6 +34,26 @@ def gaussian_filter(value: Any) -> Any:
     return value
 
 
+def conditioning_filter(value: Any) -> Any:
+    """As `gaussian_filter`, for who replaces the update: that of the inner filter must be Bayes' rule alone.
+
+    Raises:
+        CapabilityError: as `gaussian_filter`, and for a filter that updates by a rule of its own, which
+            would be lost without a word (class attribute ``own_update``).
+    """
+    value = gaussian_filter(value)
+    if getattr(value, "own_update", False):
+        raise CapabilityError(
+            wording(
+                "parameter 'inner'",
+                got=f"a {type(value).__name__}, whose update is its own",
+                expected="a filter that only projects and conditions, such as 'ekf1', 'ekf2' or 'ukf'",
+                do="wrap the filter inside it instead: two such updates cannot both be made",
+            )
+        )
+    return value
+
+
 def names(value: str | Iterable[str]) -> tuple[str, ...]:
     """Names of components, from one of them or several."""
     return (value,) if isinstance(value, str) else tuple(value)

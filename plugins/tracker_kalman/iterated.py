@@ -37,6 +37,7 @@ class IteratedExtendedKalmanFilter:
     iterations: int = attrs.field(default=3, validator=at_least(1, "filter 'iekf'"))
 
     needs = ("jacobian",)
+    own_update = True
 
     def predict(
         self, state: Gaussian, motion: MotionModel, dt: Any, u: Any = None, t: Any = None

@@ -35,6 +35,7 @@ class JosephFilter:
     """
 
     needs = ("jacobian",)
+    own_update = True
 
     def predict(
         self, state: Gaussian, motion: MotionModel, dt: Any, u: Any = None, t: Any = None

@@ -55,6 +55,7 @@ class PosteriorLinearisationFilter:
     floor: float | None = attrs.field(default=None)
 
     needs = ()
+    own_update = True
 
     @floor.validator
     def _small(self, _attribute: object, floor: float | None) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from tracker.algebra.gaussian import conditioned
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.inner import gaussian_filter, names
+from tracker_kalman.inner import conditioning_filter, names
 
 
 @attrs.frozen
@@ -35,7 +35,9 @@ class SchmidtFilter:
     """
 
     considered: tuple[str, ...] = attrs.field(default=(), converter=names)
-    inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
+    inner: Any = attrs.field(default="ekf1", converter=conditioning_filter)
+
+    own_update = True
 
     @property
     def needs(self) -> tuple[str, ...]:

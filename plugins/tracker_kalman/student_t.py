@@ -9,7 +9,7 @@ import attrs
 from tracker.algebra import apply, gain, product
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.inner import at_least, gaussian_filter, positive_number
+from tracker_kalman.inner import at_least, conditioning_filter, positive_number
 from tracker_kalman.reweighted import conditioned_with, trace
 
 
@@ -39,11 +39,13 @@ class StudentTUpdate:
         degrees of freedom it is the inner filter; one more turn changes little.
     """
 
-    inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
+    inner: Any = attrs.field(default="ekf1", converter=conditioning_filter)
     degrees_of_freedom: float = attrs.field(
         default=4.0, validator=positive_number("filter 'student_t'")
     )
     reweightings: int = attrs.field(default=5, validator=at_least(1, "filter 'student_t'"))
+
+    own_update = True
 
     @property
     def needs(self) -> tuple[str, ...]:

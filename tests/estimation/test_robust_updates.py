@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 
 import tracker as tk
-from tracker.errors import DomainError
+from tracker.errors import CapabilityError, DomainError
 from tracker.testing import check_component
 from tracker.types import Array
 from tracker_kalman import HuberUpdate, StudentTUpdate
@@ -198,3 +198,10 @@ def test_a_robust_filter_may_consider_biases() -> None:
     rule = tk.filters.make("huber", inner=tk.filters.make("ekf2", second_order_innovation=False))
     assert rule.needs == ("jacobian", "hessian")
     assert tk.filters.make("schmidt", considered=["vx"], inner="ukf").needs == ()
+
+
+@pytest.mark.parametrize("outer", ["huber", "student_t", "schmidt"])
+@pytest.mark.parametrize("inner", ["iekf", "iplf", "ekf1_joseph", "huber", "student_t"])
+def test_an_update_of_its_own_is_not_dropped_without_a_word(outer, inner):
+    with pytest.raises(CapabilityError, match="whose update is its own"):
+        tk.filters.make(outer, inner=inner)

@@ -480,7 +480,9 @@ def scores(
         last = [where(isnan(was), now, was) for was, now in zip(kept, last, strict=True)]
     program.set("final", last, variant)
     counts = less(absolute(squared + nees), where(less(0.0, counted), INFINITY, 0.0))
-    values = [where(counts, e, 0.0) for e in (squared, nees, *more[:2], 1.0)]
+    # NIS is NaN, and the estimate is not, where an update lost its digits: it says nothing then.
+    surprise = [where(isnan(more[0]), 0.0, e) for e in more[:2]]
+    values = [where(counts, e, 0.0) for e in (squared, nees, *surprise, 1.0)]
     program.curve("curves", values, variant)
 
 
