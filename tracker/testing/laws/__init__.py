@@ -2,4 +2,5 @@
 
 # Importing declares the laws, and this order is that of every report.
 from tracker.testing.laws import every  # noqa: F401, I001 - importing registers the laws, in this order
-from tracker.testing.laws import motion, sensor, filter, smoother, adapter, gate, associator, optimiser  # noqa: A004, F401 - as above
+from tracker.testing.laws import motion, sensor, filter, smoother  # noqa: A004, F401 - as above
+from tracker.testing.laws import adapter, gate, associator, optimiser  # noqa: F401 - as above
