@@ -1,7 +1,7 @@
 """The whole family of filters and smoothers beside EKF1, and beside the libraries that have them.
 
 Costs are of the scored steps of 1,000 runs x 500 steps on two bearings (n = 4, m = 2), simulation left
-out; of particle filters and of other libraries, of one run. What is expected is written as a verdict.
+out; of other libraries, of one run. Particle filters are in `particles`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ WANTED = {
     "ukf_symmetric": 4.0,
     "imm of three models": 8.0,
 }
-DYNAMAX_UKF, PARTICLES_US = 25.0, 80.0
+DYNAMAX_UKF = 25.0
 THEIRS = {
     "filterpy ekf": "ekf1",
     "filterpy ukf": "ukf",
@@ -113,7 +113,6 @@ def family() -> None:
         if label in theirs
     ]
     table("Beside others", ("", "times"), ratios)
-    verdicts += _particles()
     rows = [verdict.cells() for verdict in verdicts]
     table("Verdicts", ("", "found", "wanted", ""), rows)
 
@@ -195,21 +194,3 @@ def _positions(motion: Any) -> tuple[Callable[[], Any], dict[str, Callable[[], A
     ours = tk.filter(estimator, record, prior, start=simulation.start).filtered.mean
     agreed(label, ours, peer())
     return _scored(estimator, simulation), {label: peer}
-
-
-def _particles() -> list[Verdict]:
-    """The bootstrap filter of 1,000 particles on one run."""
-    scene = tk.scenario("two_stations", steps=STEPS)
-    simulation = scene.simulate(SEED, 1)
-    estimator = tk.estimator("bootstrap", motion=scene.motion, sensor=scene.sensor)
-    record = tk.Record(simulation.record.t, simulation.record.z[..., 0])
-    label = "bootstrap, 1,000 particles, one run"
-
-    def work() -> Any:
-        rng = np.random.default_rng(SEED)
-        return tk.filter(estimator, record, simulation.prior[0], start=simulation.start, rng=rng)
-
-    seconds = measure.interleaved({label: work}, 7)
-    report(seconds, {label: STEPS}, MICRO, "us a step")
-    found = float(np.median(seconds[label])) / STEPS * MICRO
-    return [Verdict(label, found, PARTICLES_US, at_least=False, unit="us")]
