@@ -14,7 +14,6 @@ import measure
 import numpy as np
 import peers
 from common import (
-    MICRO,
     NANO,
     PROBLEM,
     RUNS,
