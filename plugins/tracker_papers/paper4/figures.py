@@ -69,15 +69,15 @@ def pictures(found: Everything, rows: Sequence[ResultRow]) -> tuple[Picture, ...
         Picture(
             "cost_and_error", "A small mismatch is not a small error",
             "Each point is a fuzzy system on one run: mismatch against error. Grey: drawn at random between the rules by "
-            "hand and anywhere in the bounds; orange: tuned on the mismatch. The line is what the filter told the "
-            "true R comes to, whose mismatch is the larger.",
+            "hand and anywhere in the bounds; orange: tuned on the mismatch; green: tuned on the error of the same run; "
+            "star: the filter told the true R, without any fuzzy system.",
             "Scatter of error against mismatch with a cloud that flattens to the left.",
             partial(cost_and_error, found),
         ),
         Picture(
             "ranking", "Which optimiser is best",
             "Lowest cost of each restart, experiments R and Q, all with the same number of evaluations; vertical lines: "
-            "the best costs that Tables 3-2 and 3-4 print. The three cannot be told apart by eye.",
+            "the best costs that Tables 3-2 and 3-4 print. Claim 1b judges their order.",
             "Distribution curves of the cost of three optimisers, nearly on top of each other.",
             partial(ranking, found),
         ),

@@ -167,7 +167,7 @@ def together(found: Sequence[Cell]) -> Table:
         ("table", "cells", "reading", "given"),
         tuple(lines),
         "A cell counts as reproduced if any one reading gives it; here is what one and the same reading gives, of "
-        "the cells that it speaks of. In chapter 5 positions speak for km/h, velocities for m/s: no reading gives both.",
+        "the cells that it speaks of.",
     )
 
 
@@ -315,8 +315,8 @@ def _linear_tables(found: Everything, rng: np.random.Generator) -> list[Table]:
                 ("reading", "filter", "X1", "X2", "X3", "J4", "R at the end", "NEES / n"),
                 tuple(lines),
                 "Median RMSE over the runs with its 95 % interval; J4 is eq. 3-19; R at the end is the median of the "
-                "noise used in the last 100 steps; NEES / n is 1 for a consistent filter. The filter told the true "
-                "noise has a larger J4 than the tuned ones: a window of 25 scatters by 28 %, and R follows it.",
+                "noise used in the last 100 steps; NEES / n is 1 for a consistent filter. A window of 25 "
+                "squares scatters by 28 %: a J4 below that of the filter told the true noise is R following it.",
             )
         )
     return out
