@@ -7,7 +7,7 @@ Estimating and scoring do not belong here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
@@ -48,10 +48,29 @@ def normals(
     seed: int, runs: Sequence[int], component: str, shape: tuple[int, ...], condition: int = 0
 ) -> Array:
     """Standard normals, ``(*shape, runs)``, each run from its own generator."""
-    out = np.empty((len(runs), *shape))
-    for row, run in zip(out, runs, strict=True):
-        stream(seed, run, component, condition).standard_normal(out=row)
-    return np.ascontiguousarray(np.moveaxis(out, 0, -1))
+    return _drawn(np.random.Generator.standard_normal, seed, runs, component, shape, condition)
+
+
+def _drawn(
+    draw: Callable[..., Array],
+    seed: int,
+    runs: Sequence[int],
+    component: str,
+    shape: tuple[int, ...],
+    condition: int,
+) -> Array:
+    out = np.empty((int(np.prod(shape)), len(runs)))
+    rows = np.empty((min(_ROWS, len(runs)), len(out)))
+    for first in range(0, len(runs), _ROWS):  # turned about while still in the cache
+        some = runs[first : first + _ROWS]
+        for row, run in zip(rows, some, strict=False):
+            draw(stream(seed, run, component, condition), out=row)
+        out[:, first : first + len(some)] = rows[: len(some)].T
+    return out.reshape(*shape, len(runs))
+
+
+_ROWS = 32
+_TOGETHER = 4096
 
 
 def _few(runs: tuple[int, ...]) -> str:
@@ -263,11 +282,13 @@ class Scenario:
             return
         motion = self.true_motion
         noise = normals(seed, runs, "process", truth.shape[:2], condition)
-        x, before = begin, self.prior_time
+        x, before, known, root = begin, self.prior_time, b"", begin
         for k, now in enumerate(self.t.tolist()):
             dt = now - before
             Q = motion.Q(x, dt)
-            x = motion.f(x, dt, None, before) + _times(square_root(Q), noise[k])
+            if Q.tobytes() != known:  # most often it is the one of the step before
+                known, root = Q.tobytes(), square_root(Q)
+            x = motion.f(x, dt, None, before) + _times(root, noise[k])
             truth[k] = x[..., : truth.shape[-1]]
             before = now
 
@@ -276,18 +297,23 @@ class Scenario:
     ) -> None:
         steps, m, count = z.shape
         noise = normals(seed, runs, "measurement", (steps, m), condition)
-        zero, sensor = np.zeros((m, 1)), self.true_sensor
-        for k in range(steps):
-            pose = None if self.pose is None else np.asarray(self.pose)[k]
-            x = truth[k] if count > 1 else np.repeat(truth[k], 2, axis=-1)
-            value = sensor.h(x, pose) + _times(
-                square_root(sensor.R(x, pose)), noise[k][..., : x.shape[-1]]
-            )
-            z[k] = sensor.residual(value, zero)[..., :count]
+        sensor, zero = self.true_sensor, np.zeros((m, 1))
+        size = max(1, _TOGETHER // count)  # steps at a time, as lanes: few runs, few calls
+        for k in range(0, steps, size):
+            now = slice(k, min(k + size, steps))
+            x = np.repeat(truth[now], len(runs) // count, axis=-1)
+            lanes = x.shape[0] * x.shape[2]
+            x, drawn = (np.moveaxis(a, 0, 1).reshape(-1, lanes) for a in (x, noise[now]))
+            pose = None
+            if self.pose is not None:
+                pose = np.repeat(np.asarray(self.pose)[now].T, len(runs), axis=1)
+            value = sensor.h(x, pose) + _times(square_root(sensor.R(x, pose)), drawn)
+            wrapped = sensor.residual(value, zero).reshape(m, -1, len(runs))
+            z[now] = np.moveaxis(wrapped, 0, 1)[..., :count]
         if self.detection_probability < 1.0:
-            for lane, run in enumerate(runs[:count]):
-                draw = stream(seed, run, "detection", condition).random((steps, m))
-                z[..., lane][draw >= self.detection_probability] = np.nan
+            draw = np.random.Generator.random
+            chance = _drawn(draw, seed, runs[:count], "detection", (steps, m), condition)
+            z[chance >= self.detection_probability] = np.nan
 
 
 def _alike(one: SensorModel, other: SensorModel) -> bool:
