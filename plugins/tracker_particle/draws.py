@@ -4,24 +4,23 @@ A belief carries a key per lane and the number of steps since it began. Every dr
 those two and of what it is for, never of what was drawn before or for whom else: methods stay pure,
 and a lane's numbers do not depend on its company.
 
-The generator is SFC64, seeded by three words (two of the key; step and purpose) as its author seeds
-it. At 1,000 particles the draws are most of a step, and it is four times as fast as Philox.
+The generator (`tracker.draws`) is seeded by two words of the key, and one of step and purpose.
 """
 
 from __future__ import annotations
 
 import math
-import struct
-import threading
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from tracker.draws import Keys, keys, seeded
 from tracker.types import Array
 
-Keys = npt.NDArray[np.uint64]
+__all__ = [
+    "BACKWARD", "FIRST_STAGE", "KERNEL", "MIXING", "NOISE", "RESAMPLING", "START", "STREAMS",
+    "Keys", "keys", "normals", "uniforms", "word",
+]  # fmt: skip
 
 START, NOISE, RESAMPLING, KERNEL, FIRST_STAGE, BACKWARD = range(6)
 """What a draw is for; never renumbered."""
@@ -33,45 +32,17 @@ machine code can run them all at once (`tracker_particle.kernels`)."""
 MIXING = 18
 """Outputs that are thrown away after seeding (PractRand, sfc.cpp)."""
 
-_WORDS = struct.Struct("=4Q")
-
 
 def word(step: int, purpose: int) -> int:
     """The third word of a seed; the lowest byte is the number of the stream."""
     return (step << 16) + (purpose << 8)
 
 
-class _Source(threading.local):
-    """One generator per thread, set anew before every use: it remembers nothing between draws."""
-
-    def __init__(self) -> None:
-        self.bits = np.random.SFC64(0)
-        self.generator = np.random.Generator(self.bits)
-        words = np.ones(4, dtype=np.uint64)
-        self.words = memoryview(words.data).cast("B")
-        self.state: Any = {**self.bits.state, "state": {"state": words}}
-
-    def fill(self, out: Array, first: int, second: int, third: int) -> None:
-        """Fill a row with the uniforms of these three words."""
-        _WORDS.pack_into(self.words, 0, first, second, third, 1)
-        self.bits.state = self.state
-        self.bits.random_raw(MIXING, output=False)
-        self.generator.random(out=out)
-
-
-_source = _Source()
-
-
-def keys(rng: np.random.Generator | Sequence[np.random.Generator], batch: tuple[int, ...]) -> Keys:
-    """Two words per lane, ``(2, *batch)``, from one generator or from one for each lane."""
-    lanes = math.prod(batch)
-    if isinstance(rng, np.random.Generator):
-        words = rng.integers(0, 2**64, size=(lanes, 2), dtype=np.uint64)
-    else:
-        words = np.empty((lanes, 2), dtype=np.uint64)
-        for row, own in zip(words, rng, strict=True):
-            row[:] = own.integers(0, 2**64, size=2, dtype=np.uint64)
-    return np.ascontiguousarray(words.T).reshape(2, *batch)
+def _fill(out: Array, first: int, second: int, third: int) -> None:
+    """Fill a row with the uniforms of these three words."""
+    generator = seeded(first, second, third)
+    generator.bit_generator.random_raw(MIXING, output=False)
+    generator.random(out=out)
 
 
 def uniforms(key: Keys, step: int, purpose: int, count: int) -> Array:
@@ -79,7 +50,7 @@ def uniforms(key: Keys, step: int, purpose: int, count: int) -> Array:
     first, second = key.reshape(2, -1).tolist()
     out = np.empty((len(first), count))
     for row, one, two in zip(out, first, second, strict=True):
-        _source.fill(row, one, two, word(step, purpose))
+        _fill(row, one, two, word(step, purpose))
     return np.ascontiguousarray(out.T).reshape(count, *key.shape[1:])
 
 
@@ -97,7 +68,7 @@ def normals(key: Keys, step: int, purpose: int, rows: int, count: int) -> Array:
     streams = np.empty((STREAMS, groups * 2 * half))
     for own, one, two in zip(drawn, first, second, strict=True):
         for j, stream in enumerate(streams):
-            _source.fill(stream, one, two, third + j)
+            _fill(stream, one, two, third + j)
         own[:] = streams.reshape(STREAMS, groups, 2 * half).T
     _box_muller(drawn[:, :half], drawn[:, half:])
     flat = drawn.reshape(len(drawn), 2 * half, groups * STREAMS)[:, :rows, :count]
