@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
@@ -21,12 +22,15 @@ OWNER = "filter 'strong_tracking'"
 class Faded:
     """A Gaussian state; its covariance without the last process noise; how surprising residuals were.
 
+    ``unmeasured`` is the covariance that the prior and the motion alone would give by now.
+
     Shapes:
-        carried ``(n, n, *batch)``; surprise, begun ``(1, *batch)``.
+        carried, unmeasured ``(n, n, *batch)``; surprise, begun ``(1, *batch)``.
     """
 
     state: Gaussian
     carried: Any = attrs.field(metadata=SYMMETRIC)
+    unmeasured: Any = attrs.field(metadata=SYMMETRIC)
     surprise: Any
     begun: Any
 
@@ -48,6 +52,13 @@ class StrongTracking:
     a filter that has converged, again and again, and an extended Kalman filter may diverge of that. It
     takes outliers for manoeuvres.
 
+    As printed the covariance has no bound. Noise larger than R looks like a manoeuvre that never ends,
+    and what a measurement hardly shows, a range seen by angles, is inflated at each step and taken
+    back at none: variances of 1e160 m2. Here no variance is inflated beyond ``beyond`` times what the
+    prior and the motion alone would predict: who has measured knows no less than who has not.
+    Manoeuvres are followed as before. With R too small the errors stay several times those of the
+    inner filter, and NIS tells of it; a prior that is much too certain must be given a larger bound.
+
     ``inner``: any filter whose belief is a Gaussian, or its name; "ukf" gives the STF-UKF. Residual, S
     and NIS of the innovation are those of the inflated prediction. The process noise must be one that
     is added.
@@ -57,13 +68,16 @@ class StrongTracking:
         softening: at least 1; may differ per lane.
         remember: weight of the past squares, in (0, 1]; may differ per lane.
         most: the largest fading factor; may differ per lane.
+        beyond: how many times the variance without any measurement it may inflate to, above 0; may
+            differ per lane.
 
     Raises:
         DomainError: for numbers out of range.
     Source: Zhou and Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
-        coloured noise, International Journal of Control 65 (1996); named in paper 4, chapter 1.
+        coloured noise, International Journal of Control 65 (1996); named in paper 4, chapter 1. The
+        bounds ``most`` and ``beyond`` are not theirs.
     Laws: those of kind "filter" that take a prediction at its word; with a great ``softening`` it is
-        the inner filter.
+        the inner filter; no variance is inflated beyond its bound.
     """
 
     inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
@@ -75,6 +89,9 @@ class StrongTracking:
     )
     most: Any = attrs.field(
         default=10.0, validator=between(1.0, 1e12, OWNER, closed=True), metadata=PARAMETER
+    )
+    beyond: Any = attrs.field(
+        default=4.0, validator=between(0.0, np.inf, OWNER), metadata=PARAMETER
     )
 
     @property
@@ -92,7 +109,7 @@ class StrongTracking:
         if isinstance(prior, Faded):
             return prior
         zero = np.zeros((1, *prior.mean.shape[1:]), dtype=prior.mean.dtype)
-        return Faded(prior, prior.cov, zero, zero)
+        return Faded(prior, prior.cov, prior.cov, zero, zero)
 
     def predict(
         self, state: Faded, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
@@ -101,7 +118,9 @@ class StrongTracking:
         Q = motion.Q(state.state.mean, dt)
         carried = self.inner.predict(state.state, with_process_noise(motion, 0.0 * Q), dt, u, t)
         ahead = Gaussian.trusted(carried.mean, carried.cov + Q)
-        return Faded(ahead, carried.cov, state.surprise, state.begun)
+        blind = Gaussian.trusted(state.state.mean, state.unmeasured)
+        unmeasured = self.inner.predict(blind, motion, dt, u, t).cov
+        return Faded(ahead, carried.cov, unmeasured, state.surprise, state.begun)
 
     def project(self, state: Faded, sensor: SensorModel, pose: Any = None) -> Projection:
         """As its inner filter, before any inflation: the residual decides about that."""
@@ -135,9 +154,10 @@ class StrongTracking:
         squares = minimum(square * share, 1e100)
         past = (self.remember * state.surprise[0] + squares) * (1.0 / (1.0 + self.remember))
         past = where(less(0.5, state.begun[0]), past, squares)
-        beyond = past - added * share - self.softening
+        unexplained = past - added * share - self.softening
         sound = less(1e-12, explained * share)
-        factor = minimum(beyond / where(sound, explained * share, 1.0), self.most)
+        factor = minimum(unexplained / where(sound, explained * share, 1.0), self.most)
+        factor = minimum(factor, self._room(state))
         factor = where(nothing, 1.0, where(sound, maximum(factor, 1.0), 1.0))
         inflated = state.state.cov + state.carried * (factor - 1.0)
         after, told = self.inner.update(
@@ -147,7 +167,21 @@ class StrongTracking:
         kept = where(nothing, state.carried, after.cov)
         surprise = where(nothing, state.surprise, _row(past, state.surprise))
         begun = where(nothing, state.begun, 1.0 + 0.0 * state.begun)
-        return Faded(after, kept, surprise, begun), told
+        return Faded(after, kept, state.unmeasured, surprise, begun), told
+
+    def _room(self, state: Faded) -> Any:
+        """The factor that makes some variance as large as it may be, ``(*batch)``."""
+        least: Any = math.inf
+        for i in range(len(state.carried)):
+            carried = state.carried[i, i]
+            left = self.beyond * state.unmeasured[i, i] - (state.state.cov[i, i] - carried)
+            grows = less(0.0, carried)
+            room = left / where(grows, carried, 1.0)
+            # A bound that is not finite, as after ages of an unstable motion, is none.
+            least = minimum(
+                least, where(grows, where(less(room, math.inf), room, math.inf), math.inf)
+            )
+        return least
 
 
 def _row(value: Any, like: Any) -> Any:
