@@ -29,6 +29,7 @@ from tracker.metrics.consistency import (
 )
 from tracker.metrics.errors import error, squared_position_error
 from tracker.metrics.observability import blind_spots, scenario_observability
+from tracker.metrics.resampling import ratio_of_medians
 from tracker.recursion import is_random
 from tracker.simulation import Scenario, Simulation, stream
 from tracker.types import Array, History, brief
@@ -284,7 +285,65 @@ class Campaign:
 
         return f"<pre>{escape(self.summary())}</pre>"
 
+    def ratios(self, to: str, score: str = "rmse", stage: str = "filter") -> dict[str, Interval]:
+        """Each estimator's median of a score over that of the estimator named ``to``, with 95 % intervals.
+
+        Runs are resampled whole, so that what all estimators share in a run cancels: an interval that
+        leaves out 1 means a difference that is no chance. A run that either of both lost is left out.
+
+        Raises:
+            UnknownComponent: for an estimator, a score or a stage that there is not.
+
+        Example:
+        >>> import tracker as tk
+        >>> scene = tk.scenario("line", axes=1)
+        >>> told = {sigma: scene.sensor.with_parameters(sigma=sigma) for sigma in (3.0, 9.0)}
+        >>> filters = {
+        ...     f"sigma {sigma:g}": tk.estimator("kf", motion=scene.motion, sensor=sensor)
+        ...     for sigma, sensor in told.items()
+        ... }
+        >>> found = tk.monte_carlo(filters, scene, runs=200).ratios("sigma 3")
+        >>> found["sigma 9"].low > found["sigma 3"].value == 1.0
+        True
+        """
+        having = {name: stages[stage] for name, stages in self.scores.items() if stage in stages}
+        for what, given, known in (
+            ("estimator", to, having),
+            ("score", score, next(iter(having.values())).per_run if having else {}),
+        ):
+            if given not in known:
+                there = ", ".join(map(str, known)) or "none"
+                raise UnknownComponent(
+                    f"no {what} {given!r} at stage {stage!r}; there are {there}."
+                )
+        below, rng = having[to].per_run[score], np.random.default_rng(self.seed)
+        return {
+            name: ratio_of_medians(scores.per_run[score], below, rng=rng)
+            for name, scores in having.items()
+        }
+
     # ----------------------------------------------------------------- pictures and files
+    def plot_ratios(
+        self,
+        to: str,
+        score: str = "rmse",
+        stage: str = "filter",
+        *,
+        axes: Any = None,
+        beyond: float = 5.0,
+    ) -> Any:
+        """A matplotlib Figure of `ratios`: a point with its interval for each estimator but ``to``.
+
+        Drawn into ``axes`` if given. Who is above ``beyond``, or lost, is at the right edge as a number.
+
+        Raises:
+            PluginError: if matplotlib is not installed.
+            UnknownComponent: as `ratios`.
+        """
+        from tracker.report.campaign import ratios_figure
+
+        return ratios_figure(self, to, score, stage, axes, beyond)
+
     def plot(self) -> Any:
         """A matplotlib Figure: RMSE and NEES against time, for every estimator.
 

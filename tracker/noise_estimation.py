@@ -1,4 +1,4 @@
-"""Noise of a linear system by maximum likelihood from records alone: expectation maximisation for Q and R.
+"""Noise by maximum likelihood from records alone: expectation maximisation for Q and R.
 
 Estimates that a filter makes as it goes are noise adapters, which are plugins; a search for any other
 number is `tracker.tuning`.
@@ -68,7 +68,7 @@ def expectation_maximisation(
     iterations: int = 200,
     tolerance: float = 1e-6,
 ) -> NoiseEstimate:
-    """Q and R of a linear system, from what the smoother says of its noise, again and again.
+    """Q and R of a linear motion and any sensor, from what the smoother says of their noise, again and again.
 
     ``process`` and ``measurement`` say what may become of Q and of R, which begin as the estimator's:
     any covariance ("full"), its diagonal alone ("diagonal"), a multiple of what it is ("scaled"), or
@@ -76,21 +76,24 @@ def expectation_maximisation(
     the log-likelihood rises by less than ``tolerance`` times its size, or after ``iterations``.
 
     What was not measured is expected, not ignored. The maximum may be a local one, and Q in full from
-    few measured components need not be unique.
+    few measured components need not be unique. A sensor that is not linear is linearised at the smoothed
+    states; with it the likelihood is the filter's approximation, and need not rise at every iteration.
 
     Shapes:
         record of any batch shape, its lanes being runs; prior likewise or shared, at ``start``.
 
     Raises:
-        CapabilityError: for models that are not linear, several sensors, or a noise adapter.
+        CapabilityError: for a motion that is not linear, a sensor without a Jacobian, several sensors,
+            or a noise adapter.
         DomainError: if Q is sought and time steps differ, or a covariance to be scaled is singular.
 
     Reference:
         Shumway and Stoffer (1982), An approach to time series smoothing and forecasting using the EM
         algorithm, eq. 9-14, with A = F and the initial moments known; missing components after
-        Shumway and Stoffer (2000), section 4.4.
+        Shumway and Stoffer (2000), section 4.4; other sensors after Särkkä (2013), Bayesian Filtering
+        and Smoothing, section 12.3.3.
     Laws:
-        the log-likelihood never falls.
+        the log-likelihood never falls where the sensor is linear.
 
     Example:
     >>> import tracker as tk
@@ -108,8 +111,11 @@ def expectation_maximisation(
             wording("arguments 'iterations' and 'tolerance'", got=f"{iterations} and {tolerance}",
                     expected="at least one iteration, a tolerance not negative", do="leave them out")
         )  # fmt: skip
-    for role, model in (("motion", estimator.motion), ("sensor", estimator.sensors[0])):
-        check_capabilities("expectation maximisation", ("linear",), role, model)
+    for need, role, model in (
+        ("linear", "motion", estimator.motion),
+        ("jacobian", "sensor", estimator.sensors[0]),
+    ):
+        check_capabilities("expectation maximisation", (need,), role, model)
     if len(estimator.sensors) != 1 or estimator.adapter is not None:
         got = f"{len(estimator.sensors)} sensors" + (
             ", a noise adapter" if estimator.adapter else ""
@@ -180,11 +186,11 @@ class _Moments:
 
 @attrs.frozen(eq=False)
 class _Rows:
-    """A record whose runs are one axis, and the linear models at its rows.
+    """A record whose runs are one axis, and the linear motion at its rows.
 
     Shapes:
         dt, seconds to each row from the one before, ``(T,)`` or ``(T, runs)``; F ``(T, n, n, runs)``
-        and c ``(T, n, runs)``: ``x' = F x + c``; H ``(T, m, n, runs)`` and d ``(T, m, runs)``: ``z = H x + d``.
+        and c ``(T, n, runs)``: ``x' = F x + c``.
     """
 
     estimator: Estimator
@@ -194,8 +200,6 @@ class _Rows:
     dt: Array
     F: Array
     c: Array
-    H: Array
-    d: Array
 
     @classmethod
     def of(
@@ -209,18 +213,13 @@ class _Rows:
         flat, state, runs = estimation.in_a_row(record, whole)
         first = flat.t[:1] if start is None else np.full_like(flat.t[:1], start)
         dt = np.diff(np.concatenate([first, flat.t]), axis=0)
-        motion, sensor = estimator.motion, estimator.sensors[0]
-        zero, models = np.zeros((motion.space.size, runs)), []
+        motion, zero, models = estimator.motion, np.zeros((state.n, runs)), []
         for k in range(len(flat)):
-            u, pose = (None if v is None else v[k] for v in (flat.u, flat.pose))
-            where = pose if sensor.pose_space.size else None
-            before = flat.t[k] - dt[k]
+            u, before = None if flat.u is None else flat.u[k], flat.t[k] - dt[k]
             models.append(
                 [
                     filled(motion.jacobian(zero, dt[k], u, before), 2, (runs,)),
                     motion.f(zero, dt[k], u, before),
-                    filled(sensor.jacobian(zero, where), 2, (runs,)),
-                    sensor.h(zero, where),
                 ]
             )
         stacked = (np.stack(values) for values in zip(*models, strict=True))
@@ -284,9 +283,9 @@ class _Rows:
 
     def measurement(self, moments: _Moments, R: Array, together: bool) -> Array:
         """Mean of the expected ``v v'`` over the rows in which something was measured."""
-        H, x, P = _merged(self.H), _merged(moments.mean[1:]), _merged(moments.cov[1:])
-        z = _merged(self.record.z[:, : len(H)])
-        v = self.estimator.sensors[0].residual(z, apply(H, x) + _merged(self.d))
+        H, expected = (_merged(values) for values in self._seen(moments.mean[1:]))
+        P, z = _merged(moments.cov[1:]), _merged(self.record.z[:, : len(H)])
+        v = self.estimator.sensors[0].residual(z, expected)
         old = np.tile(np.broadcast_to(R, (*R.shape[:2], self.runs)), len(self.record))
         seen = (~np.isnan(v)).astype(float)
         v = np.where(np.isnan(v), 0.0, v)
@@ -296,6 +295,20 @@ class _Rows:
         found = congruence(B, (v[:, None] * v[None] + congruence(H, P)) * both)
         found = found + old - congruence(B, both * old)
         return self._mean(found, (seen.sum(axis=0) > 0.0).reshape(-1, self.runs), together)
+
+    def _seen(self, x: Array) -> tuple[Array, Array]:
+        """The sensor's Jacobian ``(T, m, n, runs)`` and what it would measure ``(T, m, runs)`` of states."""
+        sensor, pose = self.estimator.sensors[0], self.record.pose
+        where = None if pose is None or not sensor.pose_space.size else pose
+        found = [
+            (
+                filled(sensor.jacobian(x[k], None if where is None else where[k]), 2, (self.runs,)),
+                sensor.h(x[k], None if where is None else where[k]),
+            )
+            for k in range(len(x))
+        ]
+        H, expected = (np.stack(values) for values in zip(*found, strict=True))
+        return H, expected
 
     def _mean(self, found: Array, counts: Array, together: bool) -> Array:
         """Mean over those steps that count, and over runs, of ``(n, n, T * runs)``."""

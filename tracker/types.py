@@ -812,6 +812,15 @@ class History:
 
         return summary(self)
 
+    def measurement_noise(self) -> Array:
+        """R as each update used it, ``(T, m, m, *batch)``: what an adapter has made of the sensor's own.
+
+        See `tracker.metrics.noise.measurement_noise`.
+        """
+        from tracker.metrics.noise import measurement_noise
+
+        return measurement_noise(self)
+
     def warnings(self) -> list[str]:
         """What a person should be told before trusting this run; empty if nothing."""
         from tracker.metrics.health import warnings

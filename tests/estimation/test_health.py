@@ -10,6 +10,7 @@ import tracker as tk
 from tracker.errors import CapabilityError, DomainError, ShapeError
 from tracker.metrics.bounds import posterior_bound, scenario_bound
 from tracker.metrics.consistency import whiteness
+from tracker.metrics.noise import measurement_noise
 from tracker.metrics.observability import (
     noise_free_path,
     observability,
@@ -39,6 +40,43 @@ def run_of(scene, motion=None, runs=300, seed=5, rule="kf"):
     made = scene.simulate(seed, runs)
     est = tk.estimator(rule, motion=motion or scene.motion, sensor=scene.sensor)
     return tk.filter(est, made.record, made.prior, start=made.start)
+
+
+# ------------------------------------------------------------------------ noise that was used
+def test_the_noise_of_a_run_is_the_sensor_s_own_where_nobody_adapts_it():
+    whole = run_of(walking(20), runs=3)
+    np.testing.assert_allclose(
+        whole.measurement_noise(), np.eye(2)[..., None] * np.full((20, 1, 1, 3), 9.0)
+    )
+    for name in ("underwater_multipath", "underwater_angles"):
+        scene = tk.scenario(name, steps=30)
+        history = run_of(scene, runs=2, rule="ekf1")
+        pose = None if scene.pose is None else scene.pose[0]
+        R = scene.sensor.R(scene.prior.mean, pose)
+        np.testing.assert_allclose(
+            history.measurement_noise(),
+            np.broadcast_to(R[..., None], (30, 4, 4, 2)),
+            rtol=1e-6,
+            atol=1e-12,
+        )
+        np.testing.assert_array_equal(
+            measurement_noise(history, 10), history.measurement_noise()[10:]
+        )
+
+
+def test_the_noise_of_an_adapted_run_is_what_the_adapter_made_of_it():
+    scene = tk.scenario("flying_object")
+    made = scene.simulate(1, 20)
+    est = tk.estimator("kf", motion=scene.motion, sensor=scene.sensor, adapter="sage_husa")
+    R = tk.filter(est, made.record, made.prior, start=made.start).measurement_noise()
+    np.testing.assert_allclose(R[0, [0, 1], [0, 1]], np.repeat([[8.0], [1.0]], 20, axis=1))
+    # true are 0.8 and 9; 20 runs with a memory of some 50 squares: a standard error of 5 %
+    np.testing.assert_allclose(R[-1, [0, 1], [0, 1]].mean(axis=1), (0.8, 9.0), rtol=0.25)
+
+
+def test_a_history_that_does_not_know_its_record_cannot_tell_the_noise():
+    with pytest.raises(CapabilityError, match="by itself"):
+        attrs.evolve(run_of(walking(5), runs=2), run=None).measurement_noise()
 
 
 # -------------------------------------------------------------------------------- whiteness

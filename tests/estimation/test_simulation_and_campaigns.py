@@ -344,3 +344,29 @@ def test_a_scenario_by_its_name_alone_is_refused_in_words():
     estimator = tk.estimator("ekf1", motion=scene.motion, sensor=scene.sensor)
     with pytest.raises(CapabilityError, match="a Scenario"):
         tk.monte_carlo(estimator, "two_stations")
+
+
+def test_ratios_tell_a_difference_that_is_no_chance_and_draw_it():
+    # Twenty runs of the same filter told wrongly: its median is 1.2 times as large or more, and the same
+    # runs leave no doubt of it; an estimator over itself is exactly 1.
+    scene = tk.scenario("line", axes=1)
+    built = {
+        "right": tk.estimator("kf", motion=scene.motion, sensor=scene.sensor),
+        "wrong": tk.estimator(
+            "kf", motion=scene.motion, sensor=scene.sensor.with_parameters(sigma=90.0)
+        ),
+        "again": tk.estimator("kf", motion=scene.motion, sensor=scene.sensor),
+    }
+    campaign = tk.monte_carlo(built, scene, runs=20, seed=3)
+    found = campaign.ratios("right")
+    assert found["again"] == found["right"] == attrs.evolve(found["right"], value=1.0)
+    assert found["wrong"].low > 1.0
+    middle = [np.median(campaign.scores[name]["filter"].per_run["rmse"]) for name in built]
+    assert found["wrong"].value == pytest.approx(middle[1] / middle[0])
+    drawn = campaign.plot_ratios("right").axes[0]
+    assert [label.get_text() for label in drawn.get_yticklabels()] == ["wrong", "again"]
+    far = campaign.plot_ratios("right", beyond=0.5).axes[0]
+    assert far.texts[0].get_text().startswith(f"{found['wrong'].value:.0f}")
+    for given in (("nobody",), ("right", "beauty"), ("right", "rmse", "smoother")):
+        with pytest.raises(UnknownComponent, match="there are"):
+            campaign.ratios(*given)

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tracker.report import page as html
-from tracker.report.drawing import PALETTE, drawing, svg
+from tracker.report.drawing import INK, PALETTE, drawing, svg
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+    from tracker.metrics.consistency import Interval
     from tracker.montecarlo import Campaign, Scores
 
 _STYLES = {"filter": "-", "smoother": "--"}
+
+LOST = 1e3
+"""A ratio beyond this is no number to read: the estimator was lost."""
 
 
 def figure(campaign: Campaign) -> Figure:
@@ -27,6 +34,59 @@ def figure(campaign: Campaign) -> Figure:
     """
     with drawing():
         return _draw(campaign)
+
+
+def ratios_figure(
+    campaign: Campaign, to: str, score: str, stage: str, axes: Any, beyond: float
+) -> Figure:
+    """Each estimator's median score over that of one of them, with its interval.
+
+    Raises:
+        PluginError: if matplotlib is not installed.
+    """
+    found = campaign.ratios(to, score, stage)
+    with drawing():
+        if axes is None:
+            from matplotlib.figure import Figure
+
+            axes = Figure(figsize=(7.0, 1.1 + 0.32 * len(found))).subplots()
+        _draw_ratios(axes, {k: v for k, v in found.items() if k != to}, beyond)
+        axes.set_xlabel(f"median {SCORE_WORDS.get(score, score)} over that of “{to}”")
+    return axes.figure  # type: ignore[no-any-return]
+
+
+SCORE_WORDS = {"rmse": "RMSE", "final_error": "final error", "nees": "NEES", "nis": "NIS"}
+
+
+def _draw_ratios(axes: Axes, found: Mapping[str, Interval], beyond: float) -> None:
+    drawn = [v for v in found.values() if v.value <= beyond]
+    low = min([1.0, *(v.low for v in drawn)])
+    high = max([1.0, *(v.high for v in drawn)])
+    margin = (high / low) ** 0.06 if high > low else 1.1
+    right = high * margin**2.5
+    for place, one in enumerate(found.values()):
+        if one.value <= beyond:
+            away = ((one.value - one.low,), (one.high - one.value,))
+            axes.errorbar(
+                one.value, place, xerr=away, fmt="o", color=PALETTE[0], capsize=3, markersize=5
+            )
+            axes.annotate(
+                f"{one.value:.2f}", (one.high, place), (6, 0), textcoords="offset points",
+                va="center", color=INK, fontsize=10,
+            )  # fmt: skip
+        else:
+            lost = "lost" if not one.value < LOST else f"{one.value:.0f} \N{RIGHTWARDS ARROW}"
+            axes.annotate(
+                lost, (right, place), (-4, 0), textcoords="offset points", va="center", ha="right",
+                color=PALETTE[1], fontsize=10,
+            )  # fmt: skip
+    axes.axvline(1.0, color=INK, linewidth=1.0, linestyle=":")
+    axes.set_xscale("log")
+    axes.set_xlim(low / margin, right)
+    axes.set_yticks(range(len(found)), list(found))
+    axes.set_ylim(len(found) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+    _plain_numbers(axes.xaxis)
 
 
 def write(campaign: Campaign, path: Path) -> Path:

@@ -21,12 +21,13 @@ PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 INK = "#1b2530"
 QUIET = "#8a96a3"
 
-_SETTINGS: Any = {
+STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": QUIET,
     "axes.grid": True,
     "axes.labelcolor": INK,
     "axes.labelsize": 11,
+    "axes.prop_cycle": f"cycler('color', {list(PALETTE)})",
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlelocation": "left",
@@ -50,6 +51,7 @@ _SETTINGS: Any = {
     "xtick.color": INK,
     "ytick.color": INK,
 }  # fmt: skip
+"""The house style as settings of matplotlib: ``plt.style.use(STYLE)`` draws a script's own pictures in it."""
 
 
 @contextmanager
@@ -63,7 +65,7 @@ def drawing() -> Iterator[None]:
         raise PluginError("figures need matplotlib: pip install 'tracker-lab[plot]'")
     import matplotlib as mpl
 
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(STYLE):
         yield
 
 

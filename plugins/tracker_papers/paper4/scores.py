@@ -16,6 +16,7 @@ import tracker as tk
 from tracker.algebra import at_once
 from tracker.metrics.consistency import nees
 from tracker.metrics.errors import error, squared_position_error
+from tracker.metrics.noise import measurement_noise
 from tracker.recursion import is_random
 from tracker.simulation import stream
 from tracker.types import Array, History
@@ -170,7 +171,7 @@ def measured(
             history = tk.filter(
                 built, simulation.record, simulation.prior, start=simulation.start, rng=rng
             )
-            parts.append(_scored(built, simulation.truth, history, scene))
+            parts.append(_scored(simulation.truth, history, scene))
             first += count
         out[name] = _joined(parts)
         told()
@@ -190,30 +191,14 @@ def seen(scene: tk.Scenario, x: Array) -> Array:
         return np.moveaxis(np.asarray(scene.sensor.h(across, _poses(scene, across))), 1, 0)
 
 
-def _poses(scene: tk.Scenario, x: Array, first: int = 0) -> Any:
-    """The sensors' poses at the times of states ``(n, T, *batch)`` from a step on, or None."""
+def _poses(scene: tk.Scenario, x: Array) -> Any:
+    """The sensors' poses at the times of states ``(n, T, *batch)``, or None."""
     if scene.pose is None:
         return None
-    steps = x.shape[1]
-    pose = np.asarray(scene.pose)[first : first + steps].T
+    pose = np.asarray(scene.pose)[: x.shape[1]].T
     return np.broadcast_to(
         pose.reshape(*pose.shape, *(1,) * (x.ndim - 2)), (len(pose), *x.shape[1:])
     )
-
-
-def used_noise(estimator: Any, scene: tk.Scenario, history: History, first: int = 0) -> Array:
-    """The diagonal of the R that was used from a step on: ``S - H P- H'``, ``(steps, m, *batch)``.
-
-    Exact for filters that linearise at the predicted mean; of a sigma-point filter it is what is
-    left when its S is compared with that.
-    """
-    x = np.moveaxis(np.asarray(history.predicted.mean)[first:], 1, 0)
-    P = np.asarray(history.predicted.cov)[first:]
-    with at_once():
-        H = np.asarray(estimator.sensors[0].jacobian(x, _poses(scene, x, first)))
-    H = np.broadcast_to(H, (*H.shape[:2], *x.shape[1:]))
-    expected = np.einsum("ijt...,tjk...,ikt...->ti...", H, P, H, optimize=True)
-    return np.asarray(np.einsum("tii...->ti...", history.innovation.S[first:]) - expected)
 
 
 def used_process_noise(estimator: Any, prior: Any, history: History) -> Array:
@@ -228,7 +213,11 @@ def used_process_noise(estimator: Any, prior: Any, history: History) -> Array:
     return np.asarray(np.einsum("tii...->ti...", history.predicted.cov) - moved)
 
 
-def _scored(estimator: Any, truth: Array, history: History, scene: tk.Scenario) -> Outcome:
+def _diagonal(covariances: Array) -> Array:
+    return np.asarray(np.einsum("tii...->ti...", covariances))
+
+
+def _scored(truth: Array, history: History, scene: tk.Scenario) -> Outcome:
     space = scene.motion.space
     mean = np.asarray(history.filtered.mean)
     off = error(truth, mean, space)
@@ -242,7 +231,7 @@ def _scored(estimator: Any, truth: Array, history: History, scene: tk.Scenario) 
             rms(measured_off),
             rms(found.dom),
             np.asarray(np.mean(found.dom[late:], axis=0)),
-            np.asarray(np.mean(used_noise(estimator, scene, history, late), axis=0)),
+            np.asarray(np.mean(_diagonal(measurement_noise(history, late)), axis=0)),
             np.asarray(np.mean(nees(off, history.filtered.cov), axis=0) / space.size),
             np.sqrt(squared_position_error(off, space)),
             np.asarray(np.sum(off**2, axis=-1)),
@@ -296,7 +285,7 @@ def follow(scene: tk.Scenario, estimators: Mapping[str, Any], run: int, seed: in
         found = mismatch(history)
         parts["mean"][name] = np.asarray(history.filtered.mean)[..., 0]
         parts["theory"][name], parts["sample"][name] = found.theory[..., 0], found.sample[..., 0]
-        parts["R"][name] = used_noise(built, scene, history)[..., 0]
+        parts["R"][name] = _diagonal(measurement_noise(history))[..., 0]
         parts["Q"][name] = used_process_noise(built, made.prior, history)[..., 0]
     return Followed(
         scene,
