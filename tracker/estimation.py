@@ -20,7 +20,14 @@ from tracker.compile import run as compiled
 from tracker.compile.online import Steps
 from tracker.errors import CapabilityError, DomainError, ShapeError, wording
 from tracker.models.parameters import lanes_of_component
-from tracker.protocols import Filter, MotionModel, NoiseAdapter, SensorModel, Smoother
+from tracker.protocols import (
+    Filter,
+    MotionModel,
+    NoiseAdapter,
+    SensorModel,
+    Smoother,
+    WorksRecords,
+)
 from tracker.recursion import (
     Adapted,
     advance,
@@ -320,6 +327,11 @@ class Estimator:
         lines = [f"runs on arrays: {why}" if why else "runs as one compiled step"]
         if why and not mixed.reason(self):
             lines = [f"runs as compiled steps around a sensor on arrays: {why}"]
+        elif why and isinstance(self.filter, WorksRecords):
+            stepwise = _why_not_whole(self)
+            lines = [
+                f"runs step by step: {stepwise}" if stepwise else "runs compiled, whole records"
+            ]
         for role, model in (("motion", self.motion), *(("sensor", s) for s in self.sensors)):
             name = getattr(model, "name", type(model).__name__)
             reason = getattr(model, "why_opaque", "it is not written over components")
@@ -554,7 +566,12 @@ def _filtered(
         part, some, whole = _tile(estimator, record, prior, history, tile)
         draws = generators[tile] if isinstance(generators, list) else generators
         with at_once():
-            for k, _, predicted, state, innovation in steps(part, *some, start, draws):
+            begun = some[1]
+            if kept is None and record.z.size and not _why_not_whole(part):
+                begun = begin(part.filter, None, part.motion, part.sensors, begun, None, draws)
+                if part.filter.whole(begun, part.motion, part.sensors, some[0], start, whole):  # type: ignore[attr-defined]
+                    return
+            for k, _, predicted, state, innovation in steps(part, some[0], begun, start, draws):
                 _store(whole, k, predicted, state, innovation)
                 if kept is not None:
                     kept.append((predicted, state))
@@ -564,6 +581,15 @@ def _filtered(
         return history
     beliefs = Beliefs(tuple(p for p, _ in kept), tuple(s for _, s in kept))
     return attrs.evolve(history, beliefs=beliefs)
+
+
+def _why_not_whole(estimator: Estimator) -> str:
+    """In words, why the filter itself does not work whole records (`WorksRecords`), or ''."""
+    if not isinstance(estimator.filter, WorksRecords):
+        return f"filter {type(estimator.filter).__name__} works step by step"
+    if estimator.adapter is not None:
+        return f"adapter {type(estimator.adapter).__name__} works step by step"
+    return estimator.filter.why_not_whole(estimator.motion, estimator.sensors)
 
 
 def _keeps_beliefs(estimator: Estimator) -> bool:

@@ -32,6 +32,7 @@ from tracker.types import (
     History,
     Innovation,
     Projection,
+    Record,
     Scan,
     Space,
     Step,
@@ -205,6 +206,32 @@ class BeyondMoments(Protocol):
 
     def beyond_moments(self, motion: MotionModel) -> str:
         """What they are, as "a mixture of 2 modes"; '' where, with this motion, moments are all."""
+        ...
+
+
+@runtime_checkable
+class WorksRecords(Protocol):
+    """A filter with machine code of its own for whole records: not a step program, but draws, say, and a loop.
+
+    Law: the history is that of its methods, step by step.
+    """
+
+    def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
+        """In words, why it cannot do so with these models, here and now; '' if it can."""
+        ...
+
+    def whole(
+        self,
+        state: Any,
+        motion: MotionModel,
+        sensors: Sequence[SensorModel],
+        record: Record,
+        start: float | None,
+        history: History,
+    ) -> bool:
+        """Fill in the moments and innovations of an allocated history, from what `begin` made of the
+        prior; True if that was done, False if the record must be filtered step by step after all.
+        """
         ...
 
 

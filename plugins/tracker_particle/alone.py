@@ -30,7 +30,7 @@ def predicted(rule: Any, state: Any, batch: tuple[int, ...], motion: Any, *given
     dt, u, t = given
     return _joined(
         [
-            rule.predict(_cut(state, at), motion, _of(dt, 0, at), _of(u, 1, at), _of(t, 0, at))
+            rule.predict(cut(state, at), motion, _of(dt, 0, at), _of(u, 1, at), _of(t, 0, at))
             for at in np.ndindex(*batch)
         ],
         batch,
@@ -49,7 +49,7 @@ def updated(
     """What ``rule.update`` makes of each lane."""
     done = [
         rule.update(
-            _cut(state, at), sensor, z[(slice(None), *at)], _of(pose, 1, at), _cut(projection, at)
+            cut(state, at), sensor, z[(slice(None), *at)], _of(pose, 1, at), cut(projection, at)
         )
         for at in np.ndindex(*batch)
     ]
@@ -69,17 +69,7 @@ def lane_first(values: Array, batch: tuple[int, ...]) -> Array:
     return np.moveaxis(first, range(count), axes)
 
 
-# ------------------------------------------------------------------------------------- inside
-def _of(value: Any, lead: int, at: tuple[int, ...]) -> Any:
-    """An argument of one lane: numbers with axes beyond their own have one for each."""
-    if np.ndim(value) <= lead:
-        return value
-    index: Any = (..., *at)
-    own = np.asarray(value)[index]
-    return own if lead else float(own)
-
-
-def _cut(value: Any, at: tuple[int, ...]) -> Any:
+def cut(value: Any, at: tuple[int, ...]) -> Any:
     """One lane of a belief."""
     if isinstance(value, np.ndarray):
         index: Any = (..., *at)
@@ -88,8 +78,18 @@ def _cut(value: Any, at: tuple[int, ...]) -> Any:
         return value
     made = object.__new__(type(value))
     for field in attrs.fields(type(value)):
-        object.__setattr__(made, field.name, _cut(getattr(value, field.name), at))
+        object.__setattr__(made, field.name, cut(getattr(value, field.name), at))
     return made
+
+
+# ------------------------------------------------------------------------------------- inside
+def _of(value: Any, lead: int, at: tuple[int, ...]) -> Any:
+    """An argument of one lane: numbers with axes beyond their own have one for each."""
+    if np.ndim(value) <= lead:
+        return value
+    index: Any = (..., *at)
+    own = np.asarray(value)[index]
+    return own if lead else float(own)
 
 
 def _known(part: Any, name: str) -> Any:

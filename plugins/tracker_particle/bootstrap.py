@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -9,8 +10,8 @@ import attrs
 import numpy as np
 
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import Gaussian, Innovation, Projection
-from tracker_particle import alone
+from tracker.types import Gaussian, History, Innovation, Projection, Record
+from tracker_particle import alone, records
 from tracker_particle.belief import Particles
 from tracker_particle.likelihood import projected, weighed
 from tracker_particle.parameters import a_count, a_share
@@ -98,3 +99,26 @@ class BootstrapFilter:
         if alone.are(weights, sensor):
             return alone.updated(self, state, weights.shape[1:], sensor, z, pose, projection)
         return weighed(state, sensor, z, pose, projection)
+
+    def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
+        """In words, why records are filtered step by step with these models, or ''."""
+        return records.why_not(motion, sensors)
+
+    def whole(
+        self,
+        state: Particles,
+        motion: MotionModel,
+        sensors: Sequence[SensorModel],
+        record: Record,
+        start: float | None,
+        history: History,
+    ) -> bool:
+        """Fill in the history of a record, if that can be done at once: whether it was done."""
+        rule = records.Rule(
+            self.predict,
+            self.update,
+            functools.partial(resampled, scheme=self.resampling, threshold=self.threshold),
+            self.threshold,
+            self.resampling,
+        )
+        return records.filtered(rule, state, motion, sensors, record, start, history)

@@ -4,7 +4,7 @@ A step program (`tracker.compile.program`) walks through rows of 8 numbers at a 
 goes: what it does for one lane over time, it does here for one belief over its particles, models,
 draws, weights and moments in one pass. The arrays in `propagation` and `likelihood` say what is
 computed, and compute it wherever this module answers None: without llvmlite, for models that cannot
-be traced, for batches, for numbers of particles that do not fill rows of 8.
+be traced, for batches. Rows of 8 that particles do not fill are filled up with copies that weigh nothing.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from tracker.models.functions import cos, exp, isnan, less, log, sin, sqrt, wher
 from tracker.models.graph import Node, needed
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, Gaussian, Innovation
-from tracker_particle import draws
+from tracker_particle import draws, machine
 from tracker_particle.belief import Particles
 
-_TINY = 1e-250
+TINY = 1e-250
 """Below this sum of likelihoods, relative to the largest there could be, digits are lost."""
 
 _SHARP = 1e-6
@@ -113,150 +113,10 @@ class _Rows:
         lines = [line for text in texts for line in text.splitlines()]
         declared = dict.fromkeys(line for line in lines if line.startswith("declare "))
         defined = [line for line in lines if not line.startswith("declare ")]
-        entry = _entry(self.program, len(constants), len(sums), len(found))
-        machine = objects.compiled("\n".join([*declared, *defined, *entry]) + "\n")
-        call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 6)(
-            machine.address
-        )
-        return Pass(call, machine, ctypes.c_double * len(found))
-
-
-_PLACES = {"x": "points", "weight": "weights", "a": "drawn", "b": "drawn", "given": "given"}
-
-
-_MATRICES = ("points", "weights", "drawn", "given", "out", "left")
-
-
-def _entry(program: Program, constants: int, sums: int, found: int) -> list[str]:
-    """LLVM text of ``void run(N, key, key, word, points, weights, drawn, given, out, left)``.
-
-    It draws the uniforms, says where the rows of the step lie in matrices, adds up the eight parts of its sums, and hands
-    them to the conclusion.
-    """
-    wide_ = f"<{WIDTH} x double>"
-    pointers = ", ".join(f"ptr %{name}" for name in _MATRICES)
-    lines = [
-        f"declare double @llvm.vector.reduce.fadd.v{WIDTH}f64(double, {wide_})",
-        f"define void @run(i64 %N, i64 %k1, i64 %k2, i64 %word, {pointers}) {{",
-        "entry:",
-        f"  %groups = sdiv i64 %N, {WIDTH}",
-    ]
-    half = sum(name.startswith("a") for name in program.inputs)
-    for name, size in (
-        ("constants", constants * WIDTH), ("sums", sums * WIDTH), ("found", found * WIDTH),
-        ("constants.one", constants), ("sums.one", sums),
-    ):  # fmt: skip
-        lines.append(f"  %a.{name} = alloca [{size} x double], align 64")
-    lines.append(f"  store [{sums * WIDTH} x double] zeroinitializer, ptr %a.sums, align 64")
-    if half:
-        lines += _uniforms(2 * half)
-    arguments = []
-    for name in program.shapes(1, 1):
-        pointer = f"%a.{name}"
-        if name not in program.states:
-            kind = name.rstrip("0123456789")
-            row = int(name[len(kind) :] or 0) + (half if kind == "b" else 0)
-            lines.append(f"  %o.{name} = mul i64 %N, {row}")
-            base = f"%{_PLACES.get(kind, 'out')}"
-            lines.append(f"  {pointer} = getelementptr inbounds double, ptr {base}, i64 %o.{name}")
-        arguments.append(f"ptr {pointer}")
-    lines.append(f"  call void @step(i64 0, i64 1, i64 %groups, {', '.join(arguments)})")
-
-    def moved(kind: str, count: int, target: str, *, added: bool) -> None:
-        for i in range(count):
-            at = f"{kind}.{i}"
-            lines.append(
-                f"  %f.{at} = getelementptr inbounds double, ptr %a.{kind}, i64 {i * WIDTH}"
-            )
-            if added:
-                lines.append(f"  %w.{at} = load {wide_}, ptr %f.{at}, align 8")
-                add = f"call double @llvm.vector.reduce.fadd.v{WIDTH}f64(double -0.0, {wide_} %w.{at})"
-                lines.append(f"  %v.{at} = {add}")
-            else:
-                lines.append(f"  %v.{at} = load double, ptr %f.{at}, align 8")
-            lines.append(f"  %t.{at} = getelementptr inbounds double, ptr {target}, i64 {i}")
-            lines.append(f"  store double %v.{at}, ptr %t.{at}, align 8")
-
-    moved("constants", constants, "%a.constants.one", added=False)
-    moved("sums", sums, "%a.sums.one", added=True)
-    lines.append(
-        "  call void @last(i64 0, i64 1, i64 1, ptr %a.constants.one, ptr %a.sums.one, ptr %given, "
-        "ptr %a.found)"
-    )
-    moved("found", found, "%left", added=False)
-    return [*lines, "  ret void", "}"]
-
-
-def _uniforms(rows: int) -> list[str]:
-    """LLVM text that fills ``rows`` of N uniforms: `draws.normals` before it makes normals of them.
-
-    Reference:
-        Doty-Humphrey, PractRand, sfc.h (SFC64), eight of it side by side.
-    """
-    v = f"<{draws.STREAMS} x i64>"
-    places = ", ".join(f"i64 {i}" for i in range(draws.STREAMS))
-
-    def splat(name: str, value: str) -> list[str]:
-        everywhere = f"<{draws.STREAMS} x i32> zeroinitializer"
-        return [
-            f"  %{name}.one = insertelement {v} poison, i64 {value}, i32 0",
-            f"  %{name} = shufflevector {v} %{name}.one, {v} poison, {everywhere}",
-        ]
-
-    def all_(number: int) -> str:
-        return f"<{', '.join([f'i64 {number}'] * draws.STREAMS)}>"
-
-    unit = f"<{', '.join(['double 0x3CA0000000000000'] * WIDTH)}>"  # 2**-53
-    return [
-        *splat("seed.a", "%k1"),
-        *splat("seed.b", "%k2"),
-        *splat("seed.word", "%word"),
-        f"  %seed.c = add {v} %seed.word, <{places}>",
-        f"  %numbers = mul i64 %groups, {rows}",
-        "  br label %draw",
-        "draw:",
-        f"  %i = phi i64 [-{draws.MIXING}, %entry], [%i.next, %drawn.one]",
-        f"  %a = phi {v} [%seed.a, %entry], [%a.next, %drawn.one]",
-        f"  %b = phi {v} [%seed.b, %entry], [%b.next, %drawn.one]",
-        f"  %c = phi {v} [%seed.c, %entry], [%c.next, %drawn.one]",
-        f"  %w = phi {v} [{all_(1)}, %entry], [%w.next, %drawn.one]",
-        "  %row = phi i64 [0, %entry], [%row.next, %drawn.one]",
-        "  %column = phi i64 [0, %entry], [%column.next, %drawn.one]",
-        f"  %ab = add {v} %a, %b",
-        f"  %new = add {v} %ab, %w",
-        f"  %w.next = add {v} %w, {all_(1)}",
-        f"  %b.low = lshr {v} %b, {all_(11)}",
-        f"  %a.next = xor {v} %b, %b.low",
-        f"  %c.high = shl {v} %c, {all_(3)}",
-        f"  %b.next = add {v} %c, %c.high",
-        f"  %c.up = shl {v} %c, {all_(24)}",
-        f"  %c.down = lshr {v} %c, {all_(40)}",
-        f"  %c.turned = or {v} %c.up, %c.down",
-        f"  %c.next = add {v} %c.turned, %new",
-        "  %mixed = icmp sge i64 %i, 0",
-        "  br i1 %mixed, label %keep, label %drawn.one",
-        "keep:",
-        "  %row.start = mul i64 %row, %N",
-        "  %place = add i64 %row.start, %column",
-        "  %to = getelementptr inbounds double, ptr %drawn, i64 %place",
-        f"  %bits = lshr {v} %new, {all_(11)}",
-        f"  %whole = uitofp {v} %bits to <{WIDTH} x double>",
-        f"  %unit = fmul <{WIDTH} x double> %whole, {unit}",
-        f"  store <{WIDTH} x double> %unit, ptr %to, align 8",
-        "  %row.after = add i64 %row, 1",
-        f"  %whole.group = icmp eq i64 %row.after, {rows}",
-        "  %row.new = select i1 %whole.group, i64 0, i64 %row.after",
-        f"  %column.after = add i64 %column, {WIDTH}",
-        "  %column.new = select i1 %whole.group, i64 %column.after, i64 %column",
-        "  br label %drawn.one",
-        "drawn.one:",
-        "  %row.next = phi i64 [0, %draw], [%row.new, %keep]",
-        "  %column.next = phi i64 [0, %draw], [%column.new, %keep]",
-        "  %i.next = add i64 %i, 1",
-        "  %done = icmp sge i64 %i.next, %numbers",
-        "  br i1 %done, label %pass, label %draw",
-        "pass:",
-    ]
+        entry = machine.entry(self.program, len(constants), len(sums), len(found))
+        made = objects.compiled("\n".join([*declared, *defined, *entry]) + "\n")
+        call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 6)(made.address)
+        return Pass(call, made, ctypes.c_double * len(found))
 
 
 def _second_moments(weight: Any, d: list[Any]) -> list[Any]:
@@ -408,31 +268,31 @@ def ahead(
     """The belief after the motion, as `propagation.propagated` has it; root ``(n, k, 1)``."""
     if not _runs(state) or type(dt) is not float or root.ndim != 3 or root.shape[2] != 1:
         return None
-    flags = motion.space.circular
     inputs = [] if u is None else np.asarray(u).tolist()
     n, count = state.points.shape
     k = root.shape[1]
-    usual = len(flags) == n and not any(flags)
-    found = _found(_made_ahead, motion, (k, len(inputs))) if usual else None
-    if found is None:
+    found = moving(motion, n, k, len(inputs))
+    if type(found) is str:
         return None
     done, parameters = found
     time = 0.0 if t is None else t
     given = (dt, time, *inputs, *parameters, *root.ravel().tolist(), *_centre(state))
-    out, left = _numbers(n * count)(), done.left()
+    full = filled(count)
+    out, left = numbers(n * full)(), done.left()
     points, weights = _memory(state)
-    drawn = _scratch.of(2 * -(-k // 2) * count)
+    drawn = _scratch.of(drawing(k) * full)
     third = draws.word(state.step, draws.NOISE)
-    numbers = _numbers(len(given))(*given)
-    done.call(count, *state.key.tolist(), third, points, weights, drawn, numbers, out, left)
+    done.call(
+        full, *state.key.tolist(), third, points, weights, drawn, numbers(len(given))(*given), out, left
+    )  # fmt: skip
     return Particles.known_as(
-        np.ndarray((n, count), _DOUBLE, out),
+        np.ndarray((n, count), _DOUBLE, out, 0, (_BYTES * full, _BYTES)),
         state.log_weights,
         state.key,
         state.step + 1,
-        flags,
+        motion.space.circular,
         _read(left, n),
-        None,
+        state.known_size,
         (out, weights),
     )
 
@@ -445,77 +305,158 @@ def weigh(
         return None
     n, count = state.points.shape
     place = [] if pose is None else np.asarray(pose).tolist()
-    flags = sensor.state.circular
-    sizes = (len(flags), len(z), len(place)) == (n, sensor.space.size, sensor.pose_space.size)
-    usual = sizes and not any(flags)
-    found = _found(_made_weigh, sensor, n) if usual else None
-    if found is None:
+    found = weighing(sensor, n, len(z), len(place))
+    if type(found) is str:
         return None
     done, parameters = found
     given = (*z, *place, *parameters, *_centre(state))
-    out, left = _numbers(count)(), done.left()
+    full = filled(count)
+    out, left = numbers(full)(), done.left()
     points, weights = _memory(state)
-    numbers = _numbers(len(given))(*given)
-    done.call(count, 0, 0, 0, points, weights, None, numbers, out, left)
+    done.call(full, 0, 0, 0, points, weights, None, numbers(len(given))(*given), out, left)
     m, at = len(z), n + n * n + 1
     nis, loglik, total, size = left[at + m + m * m :]
-    if not total > _TINY:
+    if not total > TINY:
         return None
-    log_weights = np.ndarray((count,), _DOUBLE, out)
-    log_weights -= loglik
-    belief = Particles.known_as(
-        state.points,
-        log_weights,
-        state.key,
-        state.step,
-        flags,
-        _read(left, n),
-        size,
-        (points, out),
-    )
+    flags = sensor.state.circular
+    measured: Any = float(sum(a == a for a in z))  # noqa: PLR0124 - not NaN
+    if measured:
+        log_weights = np.ndarray((full,), _DOUBLE, out)
+        log_weights -= loglik
+        belief = Particles.known_as(
+            state.points,
+            log_weights[:count],
+            state.key,
+            state.step,
+            flags,
+            _read(left, n),
+            size,
+            (points, out),
+        )
+    else:  # not even rounding changes weights without evidence
+        if state.known is None:
+            return None
+        loglik = 0.0
+        belief = Particles.known_as(
+            state.points,
+            state.log_weights,
+            state.key,
+            state.step,
+            flags,
+            state.known,
+            state.known_size,
+            (points, weights),
+        )
     v = np.ndarray((m,), _DOUBLE, left, _BYTES * at)
     S = np.ndarray((m, m), _DOUBLE, left, _BYTES * (at + m))
-    measured: Any = float(sum(a == a for a in z))  # noqa: PLR0124 - not NaN
     ok: Any = math.isfinite(nis)
     return belief, Innovation(v, S, nis, loglik, measured, ok)
+
+
+def choose(state: Particles) -> Particles | None:
+    """The belief in particles of even weight, as `propagation.resampled` has it, systematically."""
+    if not _runs(state):
+        return None
+    n, count = state.points.shape
+    full = filled(count)
+    out = numbers(n * full)()
+    points, weights = _memory(state)
+    third = draws.word(state.step, draws.RESAMPLING)
+    scratch = _scratch.of(CHOOSING * full)
+    choosing().call(count, full, n, *state.key.tolist(), third, weights, points, scratch, out)
+    flat = even(count)
+    return Particles.known_as(
+        np.ndarray((n, count), _DOUBLE, out, 0, (_BYTES * full, _BYTES)),
+        np.frombuffer(flat, _DOUBLE, count),
+        state.key,
+        state.step,
+        state.circular,
+        None,
+        float(count),
+        (out, flat),
+    )
 
 
 # ------------------------------------------------------------------------------------- inside
 _DOUBLE = np.dtype(np.float64)
 _BYTES = 8
 
+CHOOSING = 4
+"""Numbers of scratch that choosing needs for each place of a row."""
+
 _available = functools.cache(objects.available)
 
 _FOUND: MutableMapping[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
-"""The passes of models, by what else they depend on; None where there is none."""
+"""The passes of models, by what else they depend on; in words why there is none."""
+
+
+def filled(count: int) -> int:
+    """How long a row of so many particles is."""
+    return -(-count // WIDTH) * WIDTH
+
+
+def drawing(columns: int) -> int:
+    """How many uniforms a particle takes for so many normals."""
+    return 2 * -(-columns // 2)
 
 
 @functools.lru_cache(maxsize=256)
-def _numbers(count: int) -> Any:
+def numbers(count: int) -> Any:
     """Memory of our own for so many numbers: a pass is told its place without asking NumPy."""
     return ctypes.c_double * count
 
 
+@functools.lru_cache(maxsize=64)
+def even(count: int) -> Any:
+    """Log weights of particles that weigh the same, in memory that nobody writes to."""
+    flat = np.full(filled(count), -math.inf)
+    flat[:count] = -math.log(count)
+    return (ctypes.c_char * flat.nbytes).from_buffer(flat)
+
+
+@functools.cache
+def choosing() -> Pass:
+    """The compiled choice of ancestors."""
+    made = objects.compiled(machine.choosing())
+    call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 6, *[ctypes.c_void_p] * 4)(made.address)
+    return Pass(call, made, None)
+
+
 class _Scratch(threading.local):
-    """Memory of this thread for the uniforms of one pass."""
+    """Memory of this thread for what one pass needs in between."""
 
     def __init__(self) -> None:
-        self.memory: Any = _numbers(0)()
+        self.memory: Any = numbers(0)()
 
     def of(self, count: int) -> Any:
         if len(self.memory) < count:
-            self.memory = _numbers(count)()
+            self.memory = numbers(count)()
         return self.memory
 
 
 _scratch = _Scratch()
 
 
+def laid_out(state: Particles, points: Any, weights: Any) -> None:
+    """Write a cloud into rows ``(n, full)`` and ``(full,)``: what fills up stands still and weighs nothing."""
+    count = len(state.log_weights)
+    points[:, :count], points[:, count:] = state.points, state.points[:, -1:]
+    weights[:count], weights[count:] = state.log_weights, -math.inf
+
+
 def _memory(state: Particles) -> Any:
     """Where points and log weights lie, for a pass to read."""
     if state.memory is not None:
         return state.memory
-    return state.points.ctypes.data, state.log_weights.ctypes.data
+    n, count = state.points.shape
+    full = filled(count)
+    if full == count and all(
+        a.flags.c_contiguous and a.dtype == _DOUBLE for a in (state.points, state.log_weights)
+    ):
+        return state.points.ctypes.data, state.log_weights.ctypes.data
+    points, weights = numbers(n * full)(), numbers(full)()
+    laid_out(state, np.ndarray((n, full), _DOUBLE, points), np.ndarray((full,), _DOUBLE, weights))
+    return points, weights
 
 
 # The mapping inside os.environ: asking os.environ itself takes as long as a tenth of a step.
@@ -525,31 +466,38 @@ _OFF = getattr(os.environ, "encodevalue", str)("off")
 
 
 def _runs(state: Particles) -> bool:
-    points = state.points
-    return (
-        points.ndim == 2
-        and points.shape[1] % WIDTH == 0
-        and _ENVIRONMENT.get(_NAME) != _OFF
-        and _available()
-        and (
-            state.memory is not None
-            or all(a.flags.c_contiguous and a.dtype == _DOUBLE for a in (points, state.log_weights))
-        )
-    )
+    return state.points.ndim == 2 and _ENVIRONMENT.get(_NAME) != _OFF and _available()
+
+
+def moving(motion: Any, n: int, columns: int, inputs: int) -> Any:
+    """The pass of a motion and its parameters, or in words why there is none."""
+    flags = motion.space.circular
+    if len(flags) != n or any(flags):
+        return "a component of its state lives on a circle"
+    return _found(_made_ahead, motion, (columns, inputs))
+
+
+def weighing(sensor: Any, n: int, m: int, p: int) -> Any:
+    """The pass of a sensor and its parameters, or in words why there is none."""
+    flags = sensor.state.circular
+    if (len(flags), m, p) != (n, sensor.space.size, sensor.pose_space.size):
+        return "it is given what it does not take"
+    if any(flags):
+        return "a component of its state lives on a circle"
+    return _found(_made_weigh, sensor, n)
 
 
 def _found(make: Callable[[Any, Any], Pass], model: Any, size: Any) -> Any:
-    """The pass of a model and its parameters, or None if it cannot be traced or differs by lane."""
     try:
         known = _FOUND.setdefault(model, {})
     except TypeError:
-        return None
+        return "it cannot be remembered"
     if size not in known:
         try:
             parameters = [float(value) for value in model.parameters.values()]
             known[size] = (make(model, size), parameters)
-        except (TraceError, TypeError, AttributeError, ValueError):
-            known[size] = None
+        except (TraceError, TypeError, AttributeError, ValueError) as error:
+            known[size] = getattr(model, "why_opaque", "") or f"it cannot be traced: {error}"
     return known[size]
 
 

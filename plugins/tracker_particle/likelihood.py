@@ -126,11 +126,9 @@ def weighed(
         Gordon, Salmond and Smith 1993; Doucet, Godsill and Andrieu 2000, eq. 10.
     """
     if z.ndim == 1:
-        measured = z.tolist()
-        if any(a == a for a in measured):  # noqa: PLR0124 - not NaN
-            made = kernels.weigh(state, sensor, measured, pose)
-            if made is not None:
-                return made if projection is None else _beside(made, projection, sensor, z)
+        made = kernels.weigh(state, sensor, z.tolist(), pose)
+        if made is not None:
+            return made if projection is None else _beside(made, projection, sensor, z)
     what = seen(state.points, sensor, z, pose)
     after, loglik = log_sum(state.log_weights + what.log_likelihood)
     unseen = what.missing.all(axis=0)

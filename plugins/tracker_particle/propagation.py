@@ -13,7 +13,7 @@ from tracker.protocols import MotionModel
 from tracker.types import Array
 from tracker_particle import draws, kernels
 from tracker_particle.belief import Particles, effective_sample_size, even, spread
-from tracker_particle.resampling import Ancestors, Scheme
+from tracker_particle.resampling import SYSTEMATIC, Ancestors, Scheme
 
 _GRAIN = 1e-9
 _ROUNDING = 1e-13
@@ -87,6 +87,11 @@ def due(weights: Array, threshold: float) -> Any:
     return effective_sample_size(weights) < least_size(threshold, len(weights))
 
 
+def lacking(state: Particles, threshold: float) -> Any:
+    """The same of a belief, which may know its effective sample size."""
+    return state.effective_sample_size < least_size(threshold, len(state.log_weights))
+
+
 def least_size(threshold: float, count: int) -> float:
     """The smallest effective sample size that is enough; even weights are, whatever rounding did."""
     return (1.0 - _GRAIN) * threshold * count
@@ -123,14 +128,13 @@ def picked(points: Array, ancestors: Ancestors) -> Array:
 
 def resampled(state: Particles, scheme: Scheme, threshold: float) -> Particles:
     """The same belief in particles of even weight, in the lanes where it is due."""
-    enough = least_size(threshold, len(state.log_weights))
-    if state.known_size is not None and np.all(state.known_size >= enough):
-        return state
-    weights = state.weights
-    needed = due(weights, threshold)
+    needed = lacking(state, threshold)
     if not np.any(needed):
         return state
-    ancestors, after = chosen(state, weights, scheme, draws.RESAMPLING, needed)
+    made = kernels.choose(state) if scheme == SYSTEMATIC else None
+    if made is not None:
+        return made
+    ancestors, after = chosen(state, state.weights, scheme, draws.RESAMPLING, needed)
     points = picked(state.points, ancestors)
     return Particles(points, after, state.key, state.step, state.circular)
 

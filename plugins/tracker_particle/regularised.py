@@ -11,12 +11,12 @@ import numpy as np
 
 from tracker.models.parameters import one_of
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import Array, Gaussian, Innovation, Projection
-from tracker_particle import alone, draws
+from tracker.types import Array, Gaussian, History, Innovation, Projection, Record
+from tracker_particle import alone, draws, records
 from tracker_particle.belief import Particles, centred, outer, spread
 from tracker_particle.likelihood import projected, weighed
 from tracker_particle.parameters import a_count, a_share, positive
-from tracker_particle.propagation import chosen, due, picked, propagated, root
+from tracker_particle.propagation import chosen, lacking, picked, propagated, root
 from tracker_particle.resampling import SYSTEMATIC, Scheme, scheme
 from tracker_particle.start import begun
 
@@ -98,12 +98,29 @@ class RegularisedFilter:
             return alone.updated(self, state, weights.shape[1:], sensor, z, pose, projection)
         return weighed(state, sensor, z, pose, projection)
 
+    def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
+        """In words, why records are filtered step by step with these models, or ''."""
+        return records.why_not(motion, sensors)
+
+    def whole(
+        self,
+        state: Particles,
+        motion: MotionModel,
+        sensors: Sequence[SensorModel],
+        record: Record,
+        start: float | None,
+        history: History,
+    ) -> bool:
+        """Fill in the history of a record, if that can be done at once: whether it was done."""
+        rule = records.Rule(self.predict, self.update, self._renewed, self.threshold, None)
+        return records.filtered(rule, state, motion, sensors, record, start, history)
+
     def _renewed(self, state: Particles) -> Particles:
         """Resampled and spread, in the lanes where it is due."""
-        weights = state.weights
-        needed = due(weights, self.threshold)
+        needed = lacking(state, self.threshold)
         if not np.any(needed):
             return state
+        weights = state.weights
         _, d = centred(state.points, weights, state.circular)
         A = root(outer(d, weights))
         ancestors, after = chosen(state, weights, self.resampling, draws.RESAMPLING, needed)
