@@ -8,7 +8,7 @@ Estimating and scoring do not belong here.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -16,8 +16,11 @@ import numpy as np
 from tracker.algebra import at_once
 from tracker.errors import DomainError, ShapeError, wording
 from tracker.models.parameters import one_of
-from tracker.protocols import MotionModel, SensorModel
+from tracker.protocols import Filter, MotionModel, NoiseAdapter, SensorModel, Smoother
 from tracker.types import Array, ArrayLike, Gaussian, Record, as_array, brief, square_root
+
+if TYPE_CHECKING:
+    from tracker.estimation import Estimator
 
 STREAMS = {
     "initial": 0,
@@ -224,6 +227,27 @@ class Scenario:
     def true_sensor(self) -> SensorModel:
         """The sensor that measured."""
         return self.sensor if self.truth_sensor is None else self.truth_sensor
+
+    def estimator(
+        self,
+        filter: str | Filter[Any] = "ekf1",  # noqa: A002 - the field's word
+        *,
+        smoother: str | Smoother | None = None,
+        adapter: str | NoiseAdapter[Any] | None = None,
+    ) -> Estimator:
+        """`tracker.estimator` on the models that the scenario tells, which need not be the true ones.
+
+        Example:
+        >>> import tracker as tk
+        >>> scene = tk.scenario("line", axes=1)
+        >>> print(scene.estimator("kf", adapter="sage_husa").motion is scene.motion)
+        True
+        """
+        from tracker.estimation import estimator
+
+        return estimator(
+            filter, motion=self.motion, sensor=self.sensor, smoother=smoother, adapter=adapter
+        )
 
     def simulate(
         self, seed: int, runs: int | Sequence[int] = 1, *, condition: int = 0

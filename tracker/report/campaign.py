@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tracker.report import page as html
-from tracker.report.drawing import INK, PALETTE, drawing, svg
+from tracker.report.drawing import INK, PALETTE, drawing, plain_numbers, svg
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
     from tracker.metrics.consistency import Interval
@@ -37,7 +36,13 @@ def figure(campaign: Campaign) -> Figure:
 
 
 def ratios_figure(
-    campaign: Campaign, to: str, score: str, stage: str, axes: Any, beyond: float
+    campaign: Campaign,
+    to: str,
+    score: str,
+    stage: str,
+    axes: Any,
+    beyond: float,
+    colours: Mapping[str, str],
 ) -> Figure:
     """Each estimator's median score over that of one of them, with its interval.
 
@@ -50,7 +55,7 @@ def ratios_figure(
             from matplotlib.figure import Figure
 
             axes = Figure(figsize=(7.0, 1.1 + 0.32 * len(found))).subplots()
-        _draw_ratios(axes, {k: v for k, v in found.items() if k != to}, beyond)
+        _draw_ratios(axes, {k: v for k, v in found.items() if k != to}, beyond, colours)
         axes.set_xlabel(f"median {SCORE_WORDS.get(score, score)} over that of “{to}”")
     return axes.figure  # type: ignore[no-any-return]
 
@@ -58,17 +63,34 @@ def ratios_figure(
 SCORE_WORDS = {"rmse": "RMSE", "final_error": "final error", "nees": "NEES", "nis": "NIS"}
 
 
-def _draw_ratios(axes: Axes, found: Mapping[str, Interval], beyond: float) -> None:
+def _ratio_ticks(low: float, high: float) -> list[float]:
+    """Round ratios on a logarithmic axis: 1, and as many more as leave room for their labels."""
+    between = [v for v in _ROUND if low <= v <= high]
+    room = (high / low) ** 0.09
+    kept = [1.0]
+    for value in sorted(between, key=lambda v: abs(np.log(v))):
+        if all(max(value / other, other / value) >= room for other in kept):
+            kept.append(value)
+    return sorted(kept)
+
+
+_ROUND = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 1.05, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0)
+
+
+def _draw_ratios(
+    axes: Axes, found: Mapping[str, Interval], beyond: float, colours: Mapping[str, str]
+) -> None:
     drawn = [v for v in found.values() if v.value <= beyond]
     low = min([1.0, *(v.low for v in drawn)])
     high = max([1.0, *(v.high for v in drawn)])
     margin = (high / low) ** 0.06 if high > low else 1.1
     right = high * margin**2.5
-    for place, one in enumerate(found.values()):
+    for place, (name, one) in enumerate(found.items()):
+        colour = colours.get(name, PALETTE[0])
         if one.value <= beyond:
             away = ((one.value - one.low,), (one.high - one.value,))
             axes.errorbar(
-                one.value, place, xerr=away, fmt="o", color=PALETTE[0], capsize=3, markersize=5
+                one.value, place, xerr=away, fmt="o", color=colour, capsize=3, markersize=5
             )
             axes.annotate(
                 f"{one.value:.2f}", (one.high, place), (6, 0), textcoords="offset points",
@@ -78,7 +100,7 @@ def _draw_ratios(axes: Axes, found: Mapping[str, Interval], beyond: float) -> No
             lost = "lost" if not one.value < LOST else f"{one.value:.0f} \N{RIGHTWARDS ARROW}"
             axes.annotate(
                 lost, (right, place), (-4, 0), textcoords="offset points", va="center", ha="right",
-                color=PALETTE[1], fontsize=10,
+                color=colour, fontsize=10,
             )  # fmt: skip
     axes.axvline(1.0, color=INK, linewidth=1.0, linestyle=":")
     axes.set_xscale("log")
@@ -86,7 +108,9 @@ def _draw_ratios(axes: Axes, found: Mapping[str, Interval], beyond: float) -> No
     axes.set_yticks(range(len(found)), list(found))
     axes.set_ylim(len(found) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
-    _plain_numbers(axes.xaxis)
+    ticks = _ratio_ticks(low / margin, right)
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
 
 
 def write(campaign: Campaign, path: Path) -> Path:
@@ -194,17 +218,8 @@ def _draw(campaign: Campaign) -> Figure:
     handles, labels = middle.get_legend_handles_labels()
     picture.legend(handles, labels, loc="outside upper center", ncols=3)
     for axis in (top.yaxis, middle.yaxis, bottom.xaxis):
-        _plain_numbers(axis)
+        plain_numbers(axis)
     return picture
-
-
-def _plain_numbers(axis: Axis) -> None:
-    """1, 2 and 5 times powers of ten, written out: narrow ranges keep more than one label."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _band(axes: object, campaign: Campaign, scores: Scores) -> None:

@@ -14,6 +14,7 @@ from tracker.errors import PluginError
 from tracker.types import Array
 
 if TYPE_CHECKING:
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # Okabe and Ito, Color Universal Design (2008): told apart by colour-blind readers, and in print.
@@ -47,7 +48,6 @@ STYLE: Any = {
     "svg.fonttype": "path",
     "svg.hashsalt": "tracker",    # the same picture, the same bytes
     "text.color": INK,
-    "text.parse_math": False,    # names come from data; "$" is only a letter
     "xtick.color": INK,
     "ytick.color": INK,
 }  # fmt: skip
@@ -65,8 +65,22 @@ def drawing() -> Iterator[None]:
         raise PluginError("figures need matplotlib: pip install 'tracker-lab[plot]'")
     import matplotlib as mpl
 
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(
+        STYLE | {"text.parse_math": False}
+    ):  # names come from data; "$" is a letter
         yield
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Label a logarithmic axis by 1, 2 and 5 times powers of ten, written out.
+
+    Narrow ranges keep more than one label, and nothing looks like ``6e0``.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def svg(draw: Callable[[], Figure]) -> bytes:

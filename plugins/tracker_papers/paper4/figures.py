@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
-from tracker.report.drawing import INK, PALETTE, QUIET
+from tracker.report.drawing import INK, PALETTE, QUIET, plain_numbers
 from tracker.reproduction import Picture, ResultRow
 from tracker.types import Array
 from tracker_papers.flying_object import TRUE_R
@@ -285,14 +285,6 @@ def _figure(width: float = 8.0, height: float = 4.6) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _plain(axis: Any) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
 def _names(outcomes: Mapping[str, Any], wanted: Sequence[str]) -> list[str]:
     return [name for name in wanted if name in outcomes]
 
@@ -472,8 +464,8 @@ def cost_and_error(found: Everything) -> Figure:
     )  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="mismatch, cost of eq. 3-19")
     axes.set(ylabel="RMSE, mean of the three states", xlim=(900, 4e4), ylim=(0.24, 1.2))
-    _plain(axes.xaxis)
-    _plain(axes.yaxis)
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
     axes.legend(loc="upper left")
     return picture
 
@@ -699,7 +691,7 @@ def best_where(found: Everything) -> Figure:
         for name in next(iter(problems.values())).of
         if not name.startswith("printed") and name != "true"
     ]
-    picture = _figure(10.0, 5.4)
+    picture = _figure(10.0, 1.0 + 0.3 * len(names))
     panels = picture.subplots(1, len(problems), sharey=True)
     for axes, (label, one) in zip(panels, problems.items(), strict=True):
         for place, name in enumerate(names):
@@ -709,7 +701,7 @@ def best_where(found: Everything) -> Figure:
             if not np.isfinite(ratio.value) or ratio.value > 6.0:
                 axes.annotate("\N{RIGHTWARDS ARROW}", (5.0, place), va="center", color=QUIET)
                 continue
-            colour = FUZZY if "fuzzy" in tables.label_of(name) else PLAIN
+            colour = FUZZY if "fuzzy" in tables.label_of(name).lower() else PLAIN
             axes.errorbar(
                 ratio.value, place, xerr=((ratio.value - ratio.low,), (ratio.high - ratio.value,)),
                 fmt="o", color=colour, capsize=3, markersize=5,
@@ -717,7 +709,7 @@ def best_where(found: Everything) -> Figure:
         axes.axvline(1.0, color=INK, linewidth=1.0, linestyle=":")
         axes.set(xscale="log", xlim=(0.7, 6.0), title=label, xlabel="over told the truth")
         axes.set_title(label, fontsize=11)
-        _plain(axes.xaxis)
+        plain_numbers(axes.xaxis)
     panels[0].set_yticks(range(len(names)), [tables.label_of(name) for name in names])
     panels[0].invert_yaxis()
     return picture
@@ -798,7 +790,7 @@ def more_sensors(more: Beyond) -> Figure:
             right.plot(counts, middle[0] * np.sqrt(counts[0] / counts), ":", color=INK)
         right.plot(counts, middle, "o-", color=COLOURS[name], markersize=4, label=label)
     right.set(yscale="log", xlabel="number of sensors", ylabel="position RMSE [m]", xticks=counts)
-    _plain(right.yaxis)
+    plain_numbers(right.yaxis)
     right.legend()
     return picture
 
@@ -815,6 +807,6 @@ def stronger(more: Beyond, found: Everything) -> Figure:
                 evaluated, np.median(best, axis=1), style, color=PALETTE[place], label=name.upper()
             )
     axes.set(xlabel="evaluations of the cost", ylabel="lowest cost so far (eq. 3-19)", yscale="log")
-    _plain(axes.yaxis)
+    plain_numbers(axes.yaxis)
     axes.legend(ncols=2)
     return picture
