@@ -12,19 +12,22 @@ import numpy as np
 from tracker.algebra import (
     apply,
     condition,
-    congruence,
+    factor,
     finite,
     gain,
     product,
+    symmetric_product,
     transpose,
+    whiten,
     without_missing,
 )
-from tracker.models import absolute, isnan, maximum, sqrt, where
+from tracker.algebra.lanes import LEAST
+from tracker.models import absolute, isnan, less, maximum, sqrt, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import PARAMETER, Gaussian, Innovation, Projection
 from tracker_adaptive.noisy_belief import room_for, within
 from tracker_adaptive.settings import between
-from tracker_kalman.inner import gaussian_filter
+from tracker_kalman.inner import conditioning_filter
 
 OWNER = "filter 'smooth_variable_structure'"
 
@@ -54,26 +57,37 @@ class SmoothVariableStructure:
     ``sign(e)`` becomes ``e / boundary``, lest it chatter. The residual is brought into the state by
     ``H+ = P H' (H P H' + share R)^-1``, for a share of zero an inverse of H that reaches states which
     are not measured by their correlations: the published one needs as many measurements as states, or
-    a canonical form. Where the state is badly observable - a range by bearings - that inverse makes
-    noise into large corrections; the share keeps them small. The covariance is Joseph's for the gain
-    that results, and so is positive whatever that is.
+    a canonical form. The covariance is Joseph's for the gain that results, as a sum of squares of
+    roots: positive semi-definite whatever the gain is.
+
+    Where it fails: in a direction that measurements hardly show, a range by bearings, ``H+`` makes
+    noise into large corrections. There a residual of so many deviations has that many over ``boundary
+    share`` times the Kalman gain: keep ``boundary share`` above the deviations that the noise *really*
+    has, in those that the sensor claims. The defaults make it 1.5. Nearer to the published inverse
+    (a share of 0.01) it loses a sixth of its runs by two bearings, and nearly all by the angles of two
+    sensors beside each other (scenario "underwater_angles") even told the right noise; so do the
+    defaults there where the noise is 3.4 times as large as told. NIS tells of it.
 
     ``inner``: any filter whose belief is a Gaussian, or its name; it predicts and projects. In an
     estimator of several sensors, what is left belongs to components by their place.
 
-    ``inner`` predicts and projects; ``boundary`` is the width of the smoothing boundary layer in
-    standard deviations of the sensor; ``convergence``, gamma in (0, 1), the share of an error that
-    remains; ``share`` that of R beside ``H P H'``, above 0. All but the first may differ per lane.
+    Numbers:
+        inner: the filter that it is written around.
+        boundary: width of the smoothing boundary layer in standard deviations of the sensor.
+        convergence: gamma in (0, 1), the share of an error that remains.
+        share: that of R beside ``H P H'``, above 0 and not above 1. All but the first may differ per
+            lane.
 
     Raises:
         DomainError: for numbers out of range.
     Source: Habibi, The smooth variable structure filter, Proceedings of the IEEE 95 (2007), eq. 38-40;
         covariance after Gadsden and Habibi, A new form of the smooth variable structure filter with a
         covariance derivation, CDC 2010, eq. 2.10.
-    Laws: those of kind "filter" that do not want the gain to be Kalman's.
+    Laws: those of kind "filter" that do not want the gain to be Kalman's; an update that leaves
+        nothing but rounding of the noise beside ``H P H'`` is not ok.
     """
 
-    inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
+    inner: Any = attrs.field(default="ekf1", converter=conditioning_filter)
     boundary: Any = attrs.field(
         default=5.0, validator=between(0.0, 1e12, OWNER), metadata=PARAMETER
     )
@@ -81,7 +95,7 @@ class SmoothVariableStructure:
         default=0.1, validator=between(0.0, 1.0, OWNER), metadata=PARAMETER
     )
     share: Any = attrs.field(
-        default=0.1, validator=between(0.0, 1.0 + 1e-12, OWNER), metadata=PARAMETER
+        default=0.3, validator=between(0.0, 1.0 + 1e-12, OWNER), metadata=PARAMETER
     )
 
     @property
@@ -123,22 +137,32 @@ class SmoothVariableStructure:
         m = sensor.space.size
         within(len(state.left), m, "smooth_variable_structure")
         seen = self.project(state, sensor, pose) if projection is None else projection
-        v, R, now = sensor.residual(z, seen.z), sensor.R(state.state.mean, pose), state.state
+        v, now = sensor.residual(z, seen.z), state.state
         missing = isnan(v)
-        _, _, nis, loglik, count = condition(now.mean, now.cov, v, seen.S, seen.cross)
+        _, _, nis, loglik, count = condition(now.mean, None, v, seen.S, seen.cross)
         S, cross = without_missing(seen.S, seen.cross, v)
-        R, _ = without_missing(R, seen.cross, v)
+        R, _ = without_missing(sensor.R(now.mean, pose), seen.cross, v)
         e = np.asarray(where(missing, 0.0, v))
         width = sqrt(_diagonal(R)) * self.boundary
         part = (absolute(e) + self.convergence * state.left[:m]) / maximum(absolute(e), width)
-        into = gain(cross, S - R * (1.0 - self.share))
-        K = into * part[None]
-        # Joseph's form needs no H: (I - K H) P (I - K H)' + K R K' = P - K c' - c K' + K S K'.
-        both = product(K, transpose(cross))
-        cov = now.cov - (both + transpose(both)) + congruence(K, S)
+        known = S - R
+        reached = known + R * self.share
+        K = gain(cross, reached) * part[None]
         mean = now.mean + apply(K, e)
-        left = where(missing, state.left[:m], absolute(e - part * e))
-        nis = where(isnan(mean[0]), math.nan, nis)
+        left = absolute(e - apply(gain(known, reached), part * e))  # e - H K e
+        # Joseph's form on roots needs no H, with P = L L' and H L = A:
+        # (L - K A) (L - K A)' + K (S - A A') K'.
+        L = factor(now.cov)
+        A = transpose(whiten(L, cross))
+        D = factor(S - symmetric_product(A, A))
+        kept, noise = L - product(K, A), product(K, D)
+        cov = symmetric_product(kept, kept) + symmetric_product(noise, noise)
+        for i in range(m):  # of noise so small beside H P H' that rounding is left of it
+            nis = where(less(D[i, i] * D[i, i], LEAST * S[i, i]), math.nan, nis)
+        for i in range(len(mean)):
+            nis = where(less(absolute(mean[i]) + cov[i, i], math.inf), nis, math.nan)
+        loglik = where(isnan(nis), math.nan, loglik)
+        left = np.asarray(where(missing, state.left[:m], left))
         told = Innovation(v, seen.S, nis, loglik, count, finite(nis))
         after = Gaussian.trusted(mean, cov)
         return WithResidual(after, np.concatenate([left, state.left[m:]])), told

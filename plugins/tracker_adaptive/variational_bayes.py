@@ -15,7 +15,7 @@ from tracker.protocols import MotionModel, SensorModel
 from tracker.types import PARAMETER, Gaussian, Innovation, Projection
 from tracker_adaptive.noisy_belief import room_for, within
 from tracker_adaptive.settings import between
-from tracker_kalman.inner import at_least, gaussian_filter
+from tracker_kalman.inner import at_least, conditioning_filter
 from tracker_kalman.reweighted import conditioned_with
 
 OWNER = "filter 'variational_bayes'"
@@ -68,7 +68,7 @@ class VariationalBayes:
     Laws: those of kind "filter" that do not take the given noise for the true one.
     """
 
-    inner: Any = attrs.field(default="ekf1", converter=gaussian_filter)
+    inner: Any = attrs.field(default="ekf1", converter=conditioning_filter)
     forgetting: Any = attrs.field(
         default=0.98, validator=between(0.0, 1.0 + 1e-12, OWNER), metadata=PARAMETER
     )

@@ -8,7 +8,7 @@ import pytest
 import thesis
 
 import tracker as tk
-from tracker.errors import DomainError, ShapeError
+from tracker.errors import CapabilityError, DomainError, ShapeError
 from tracker.testing.textbook import MOTION, POSITION
 from tracker.types import Gaussian, Record
 from tracker_adaptive import SmoothVariableStructure, StrongTracking, VariationalBayes
@@ -253,6 +253,66 @@ def test_its_covariance_is_josephs():
     L = np.eye(4) - K @ H
     np.testing.assert_allclose(after.state.cov, L @ P @ L.T + K @ R @ K.T, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(after.state.mean, K @ z, rtol=1e-9)
+
+
+@pytest.mark.parametrize("inner", ["ekf1", "ukf"])
+def test_its_covariance_is_a_sum_of_squares_however_far_it_was_driven(inner):
+    # Noise 3.4 times as large as told and a near-inverse of H: covariances of 1e20 and more.
+    scene = tk.scenario("underwater_angles", steps=200)
+    made = scene.simulate(seed=1, runs=50)
+    rule = SmoothVariableStructure(inner=inner, share=0.01)
+    est = tk.estimator(rule, motion=scene.motion, sensor=scene.sensor)
+    history = tk.filter(est, made.record, made.prior, start=made.start)
+    cov, ok = np.moveaxis(history.filtered.cov, (1, 2), (-2, -1)), history.innovation.ok
+    assert cov[ok].max() > 1e12, "the case that this test is for did not occur"
+    scale = np.sqrt(np.einsum("kii->ki", cov[ok]))
+    assert np.linalg.eigvalsh(cov[ok] / (scale[:, :, None] * scale[:, None])).min() > -1e-13
+
+
+def test_noise_that_rounding_has_swallowed_is_not_ok():
+    rule = SmoothVariableStructure(inner="kf")
+    for variance, sound in ((1e12, True), (1e18, False)):
+        state = rule.begin(Gaussian(np.zeros(4), np.diag([variance, 1.0, 1.0, 1.0])))
+        sharp = position(np.sqrt(1e-2))
+        after, told = rule.update(state, sharp, np.array([1.0, 1.0]))
+        assert bool(told.ok) is sound
+        assert np.isnan(told.loglik) == (not sound)
+        assert after.state.cov.diagonal().min() >= 0.0
+
+
+@pytest.mark.statistical
+def test_it_tracks_by_angles_where_the_noise_is_as_told_and_loses_nearer_to_the_inverse():
+    """Shares of lost runs, of 200: none against nearly all, and none against a sixth."""
+    from tracker_papers.underwater_angles import underwater_angles
+
+    for scene, some in ((underwater_angles(told=True), 0.8), (tk.scenario("two_stations"), 0.05)):
+        made = scene.simulate(seed=1, runs=200)
+        place = list(scene.motion.space.position)
+        lost = []
+        for share in (0.3, 0.01):
+            rule = SmoothVariableStructure(share=share)
+            est = tk.estimator(rule, motion=scene.motion, sensor=scene.sensor)
+            history = tk.filter(est, made.record, made.prior, start=made.start)
+            gap = (history.filtered.mean[-1] - made.truth[-1])[place]
+            sigma = np.einsum("iib->ib", history.filtered.cov[-1])[place]
+            far = (gap**2).sum(axis=0) > 36.0 * sigma.sum(axis=0)
+            lost.append(far | ~history.innovation.ok.all(axis=0))
+        assert lost[0].mean() < 0.01
+        assert lost[1].mean() > some
+
+
+def test_it_says_so_where_noise_larger_than_told_drives_it_away():
+    scene = tk.scenario("underwater_angles")
+    made = scene.simulate(seed=1, runs=50)
+    est = tk.estimator("smooth_variable_structure", motion=scene.motion, sensor=scene.sensor)
+    told = tk.filter(est, made.record, made.prior, start=made.start).warnings()
+    assert any("overconfident" in words for words in told)
+
+
+def test_who_replaces_an_update_refuses_a_filter_that_has_its_own():
+    for rule in (SmoothVariableStructure, VariationalBayes):
+        with pytest.raises(CapabilityError, match="whose update is its own"):
+            rule(inner="huber")
 
 
 def test_numbers_that_cannot_be_are_refused():
