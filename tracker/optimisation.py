@@ -24,6 +24,8 @@ __all__ = ["Optimisation", "load_optimisation", "optimise"]
 
 Cost = Callable[[Array], Any]
 
+_WORST = np.array(np.inf)  # ufuncs take arrays faster than Python's numbers
+
 RUNNING, BUDGET, TARGET, STALLED, FINISHED = range(5)
 REASONS = ("running", "budget", "target", "stalled", "finished")
 
@@ -180,11 +182,11 @@ def load_optimisation(path: str | Path) -> Optimisation:
 def optimise(
     cost: Cost,
     bounds: Any = None,
-    optimiser: str | Optimiser[Any] = "particle_swarm",
+    optimiser: str | Optimiser[Any] | None = None,
     *,
     evaluations: int,
-    restarts: int | Sequence[int] = 1,
-    seed: int = 0,
+    restarts: int | Sequence[int] | None = None,
+    seed: int | None = None,
     start: Any = None,
     target: float | None = None,
     patience: int | None = None,
@@ -196,7 +198,8 @@ def optimise(
     The budget is ``evaluations`` of the cost in every restart, and exact: the last generation is cut
     off where it would go beyond. A restart ends early when its cost comes to ``target`` or below;
     when it has not become better by more than ``tolerance`` for ``patience`` generations; or when its
-    optimiser is finished. Its place in the calls of ``cost`` is then taken up by the others.
+    optimiser is finished. Its place in the calls of ``cost`` is then taken up by the others. A target
+    and patience are for one objective; candidates that break a constraint do not count for them.
 
     Shapes:
         bounds ``(d, 2)``, rows [low, high]; ``cost`` takes candidates ``(d, population, active)``,
@@ -204,13 +207,16 @@ def optimise(
         active)``, or ``(population, active)`` for one objective. NaN is the worst cost.
         start ``(d, k)`` or ``(d, k, restarts)``: individuals that belong to the first population.
 
-    ``restarts`` is how many, or the numbers of those wanted: restart 3 is the same in any company.
+    ``optimiser`` is "particle_swarm" if none is given, ``seed`` 0. ``restarts`` is how many, one if
+    not given, or the numbers of those wanted: restart 3 is the same in any company.
     ``resume`` is a result to go on from: ``evaluations`` counts what it has used; bounds, optimiser,
     restarts, seed and start are its own; a restart that ended early stays so. What comes of it
     equals one search with the larger budget.
 
     Raises:
-        DomainError: if the budget, the bounds or the individuals to start from make no sense.
+        DomainError: if the budget, the bounds or the individuals to start from make no sense; if
+            what is resumed is given what is its own.
+        CapabilityError: for a target or patience with an optimiser of several objectives.
         ShapeError: if shapes do not fit.
 
     Example:
@@ -223,15 +229,30 @@ def optimise(
     """
     _check(evaluations, patience, tolerance)
     if resume is None:
-        begun = _begun(bounds, optimiser, restarts, seed, start)
+        begun = _begun(
+            bounds,
+            "particle_swarm" if optimiser is None else optimiser,
+            1 if restarts is None else restarts,
+            0 if seed is None else seed,
+            start,
+        )
     else:
-        given = {"bounds": bounds, "start": start}
+        given = {
+            "bounds": bounds,
+            "optimiser": optimiser,
+            "restarts": restarts,
+            "seed": seed,
+            "start": start,
+        }
         for name in [name for name, value in given.items() if value is not None]:
             raise DomainError(
                 wording(f"argument {name!r}", got="a value beside resume", do="leave it out",
                         expected="what is resumed to bring its own")
             )  # fmt: skip
         begun = resume
+    for name, value in (("target", target), ("patience", patience)):
+        if value is not None:
+            _check_watched(name, begun.optimiser)
     return _Search(cost, begun, evaluations, target, patience, tolerance).run()
 
 
@@ -250,6 +271,18 @@ def _check(evaluations: int, patience: int | None, tolerance: float) -> None:
         raise DomainError(
             wording("argument 'tolerance'", got=tolerance, expected="0 or more", do="pass 0.0")
         )
+
+
+def _check_watched(name: str, optimiser: Any) -> None:
+    """Whether there is one number to watch, and, beside constraints, a record of who obeys them."""
+    objectives = getattr(optimiser, "objectives", optimiser.rows)
+    if objectives != 1 or (optimiser.rows > 1 and not hasattr(optimiser, "survivors")):
+        what = f"{objectives} objectives" if objectives != 1 else "constraints, and no survivors"
+        raise CapabilityError(
+            wording(f"argument {name!r} of optimise", got=f"{type(optimiser).__name__} with {what}",
+                    expected="one objective: a front has no lowest cost to watch",
+                    do="leave it out; the budget ends the search")
+        )  # fmt: skip
 
 
 def _generator(seed: int, number: int) -> np.random.Generator:
@@ -331,18 +364,22 @@ class _Search:
         """Generations until the budget is used, or every restart has ended."""
         pending = self.begun.pending
         watched = not (self.finished is self.patience is self.target is None)
-        memory = _lanes(self.memory, self.active)
+        memory = self.memory
+        if self.active.size < self.cost.shape[1]:
+            memory = _lanes(memory, self.active)
         while self.active.size and self.now < self.budget:
             x = self.optimiser.ask(memory)
             first, last = pending.shape[1], min(self.population, self._left(pending))
-            value = self._evaluated(x[:, first:last])
+            if last - first < self.population:
+                x = x[:, first:last]
+            value = self._evaluated(x)
             self.now += last - first
-            self._note(x[:, first:last], value)
+            self._note(x, value)
             if first:
                 value = np.concatenate([pending, value], axis=1)
             self.costs.append(value)
             self.lanes.append(self.active)
-            self.bests.append(self.cost.copy())
+            self.bests.append(self.cost)
             if last < self.population:
                 pending = value
                 break
@@ -352,7 +389,8 @@ class _Search:
                 memory = self._after_a_generation(memory)
         self.used[self.active] = self.now
         self.stopped[self.active] = BUDGET
-        self.memory = _merged(self.memory, memory, self.active)
+        everybody = self.active.size == self.cost.shape[1]
+        self.memory = memory if everybody else _merged(self.memory, memory, self.active)
         return self._result(pending)
 
     def _left(self, pending: Array) -> int:
@@ -370,33 +408,42 @@ class _Search:
                             do="return one number per candidate and objective")
                 )  # fmt: skip
             given = given[None]
-        return np.fmin(given, np.inf)
+        return np.fmin(given, _WORST)
 
     def _note(self, x: Array, value: Array) -> None:
-        """The best so far, and where."""
-        everybody = self.active.size == self.cost.shape[1]
+        """The best so far, and where; costs are not written over, as the history keeps them."""
+        everybody, count = self.active.size == self.cost.shape[1], self.active.size
+        before = self.cost if everybody else self.cost[:, self.active]
         lowest = np.minimum.reduce(value, axis=1)
-        better = lowest < (self.cost if everybody else self.cost[:, self.active])
-        if np.count_nonzero(better):
-            row, lane = better.nonzero()
-            mine = self.active[lane]
-            self.cost[row, mine] = lowest[row, lane]
-            self.x[:, row, mine] = x[:, value.argmin(axis=1)[row, lane], lane]
+        better = lowest < before
+        if not np.count_nonzero(better):
+            return
+        lowest, there = np.minimum(lowest, before), value.argmin(axis=1)
+        if count > 1:
+            there = there * count + np.arange(count)
+        found = x.reshape(len(x), -1).take(there, axis=1)
+        if everybody:
+            self.cost = lowest
+            np.copyto(self.x, found, where=better)
+        else:
+            self.cost = self.cost.copy()
+            self.cost[:, self.active] = lowest
+            self.x[:, :, self.active] = np.where(better, found, self.x[:, :, self.active])
 
     def _after_a_generation(self, memory: Any) -> Any:
         """Let those restarts go that have ended."""
         active = self.active
         ended = np.zeros(active.size, dtype=np.int64)
-        if self.finished is not None:
-            ended[self.finished(memory)] = FINISHED
+        if self.finished is not None and np.count_nonzero(flags := self.finished(memory)):
+            ended[flags] = FINISHED
         if self.patience is not None:
-            best, (waited, reference) = self.cost[0, active], self.waited[:, active]
+            best, (waited, reference) = self._lowest(memory), self.waited[:, active]
             better = best < reference - self.tolerance
             self.waited[0, active] = waited = np.where(better, 0, waited + 1)
             self.waited[1, active] = np.where(better, best, reference)
             ended[waited >= self.patience] = STALLED
         if self.target is not None:
-            ended[self.cost[0, active] <= self.target] = TARGET
+            ended[self._lowest(memory) <= self.target] = TARGET
         if not np.count_nonzero(ended):
             return memory
         gone = ended != RUNNING
@@ -405,6 +452,13 @@ class _Search:
         self.memory = _merged(self.memory, memory, active)
         self.active = active[~gone]
         return _lanes(memory, np.flatnonzero(~gone))
+
+    def _lowest(self, memory: Any) -> Array:
+        """The lowest cost ``(active,)`` so far of what obeys the constraints; infinity if nothing does."""
+        if self.rows == 1:
+            return self.cost[0, self.active]  # type: ignore[no-any-return]
+        kept = self.optimiser.survivors(memory)[1]
+        return np.where((kept[1:] <= 0.0).all(axis=0), kept[0], np.inf).min(axis=0)  # type: ignore[no-any-return]
 
     def _result(self, pending: Array) -> Optimisation:
         begun, count = self.begun, len(self.begun.numbers)

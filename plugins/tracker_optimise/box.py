@@ -18,6 +18,8 @@ from tracker.errors import DomainError, ShapeError, wording
 from tracker.types import Array, brief
 from tracker_optimise.draws import BEGIN, Keys, keys, uniforms
 
+_WORST = np.array(math.inf)
+
 
 @attrs.frozen(eq=False)
 class Box:
@@ -30,6 +32,8 @@ class Box:
     low: Array = attrs.field(repr=brief)
     width: Array = attrs.field(repr=brief)
     high: Array = attrs.field(repr=brief)
+    rounds: bool
+    """Whether rounding may lead beyond the upper bounds."""
 
     @classmethod
     def of(cls, bounds: Any, axes: int) -> Box:
@@ -53,14 +57,16 @@ class Box:
                         expected="two finite numbers, low <= high", do="correct that row")
             )  # fmt: skip
         shape = (len(pairs), 1, *(1,) * axes)
-        low, high = pairs.T
-        return cls(*(np.ascontiguousarray(row).reshape(shape) for row in (low, width, high)))
+        low, high = (np.ascontiguousarray(row).reshape(shape) for row in pairs.T)
+        width = width.reshape(shape)
+        # Sums and products are monotone: if the upper corner is inside, everything is.
+        return cls(low, width, high, bool((low + width > high).any()))
 
     def outside(self, unit: Array) -> Array:
         """Candidates ``(d, population, *restarts)`` of individuals in the unit cube; never beyond."""
         out = unit * self.width
         out += self.low
-        return np.minimum(out, self.high, out=out)  # low + 1.0 * width may round up
+        return np.minimum(out, self.high, out=out) if self.rounds else out
 
     def inside(self, x: Array) -> Array:
         """Individuals in the unit cube of candidates; a parameter without width is at 0."""
@@ -148,17 +154,14 @@ def told(cost: Any, asked: Array, rows: int = 1) -> Array:
             wording("cost", got=f"shape {given.shape}", do="return one number per candidate",
                     expected=f"(objectives, population, *restarts) = {wanted}") + more
         )  # fmt: skip
-    return np.fmin(given, math.inf).reshape(rows, asked.shape[1], lanes(asked))
-
-
-def lanes(asked: Array) -> int:
-    """How many restarts there are, over all batch axes."""
-    return math.prod(asked.shape[2:])
+    return flat(np.fmin(given, _WORST))
 
 
 def flat(asked: Array) -> Array:
     """Individuals with the restarts on one axis: ``(d, population, lanes)``."""
-    return asked.reshape(*asked.shape[:2], lanes(asked))
+    if asked.ndim == 3:
+        return asked
+    return asked.reshape(*asked.shape[:2], math.prod(asked.shape[2:]))
 
 
 def picked(x: Array, index: npt.NDArray[np.intp]) -> Array:

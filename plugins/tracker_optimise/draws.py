@@ -11,7 +11,7 @@ import numpy as np
 from tracker.draws import Keys, keys, seeded
 from tracker.types import Array
 
-__all__ = ["BEGIN", "Keys", "keys", "numbers", "uniforms"]
+__all__ = ["BEGIN", "Keys", "keys", "uniforms"]
 
 BEGIN = 2**32
 """Added to the generation for what is drawn once, at the beginning."""
@@ -21,19 +21,12 @@ _MIXING = 12
 
 
 def uniforms(key: Keys, generation: int, count: int) -> Array:
-    """Uniforms in [0, 1), ``(count, restarts)``, the restarts on one axis."""
-    return numbers(key, generation, count, 0)[0]
-
-
-def numbers(key: Keys, generation: int, uniform: int, normal: int) -> tuple[Array, Array]:
-    """Uniforms in [0, 1) and standard normals, ``(uniform, restarts)`` and ``(normal, restarts)``."""
-    first, second = key.reshape(2, -1).tolist()
-    mixed = _MIXING + uniform
-    out = np.empty((len(first), mixed + normal))
-    for row, one, two in zip(out, first, second, strict=True):
-        generator = seeded(one, two, generation)
-        generator.random(out=row[:mixed])
-        if normal:
-            generator.standard_normal(out=row[mixed:])
-    turned = out.reshape(-1, 1) if len(first) == 1 else np.ascontiguousarray(out.T)
-    return turned[_MIXING:mixed], turned[mixed:]
+    """Uniforms in [0, 1), ``(count, restarts)``, the restarts on one axis; the caller's to write over."""
+    words = key.ravel().tolist()
+    restarts = len(words) // 2
+    if restarts == 1:
+        return seeded(*words, generation).random(_MIXING + count)[_MIXING:, None]
+    out = np.empty((restarts, _MIXING + count))
+    for row, first, second in zip(out, words[:restarts], words[restarts:], strict=True):
+        seeded(first, second, generation).random(out=row)
+    return np.ascontiguousarray(out.T)[_MIXING:]

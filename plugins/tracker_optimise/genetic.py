@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -19,7 +20,7 @@ SELECTIONS = ("tournament", "rank", "roulette")
 CROSSOVERS = ("one_point", "arithmetic", "blend", "simulated_binary")
 MUTATIONS = ("gaussian", "uniform", "polynomial")
 
-_LEAST = 1e-300
+_LEAST = np.array(1e-300)
 """The quantile of 0 is infinite."""
 
 
@@ -173,12 +174,13 @@ class Genetic:
         copied = cross >= self.crossover_rate
         if self.crossover == "one_point":
             # Cut after 1 to d - 1 genes; a cut after all of them leaves copies.
-            cut = np.where(copied, d, mix * (d - 1))
-            tail = np.arange(d)[:, None, None] > cut
-            one, two = first.copy(), second.copy()
-            np.copyto(one, second, where=tail)
-            np.copyto(two, first, where=tail)
-        elif self.crossover == "simulated_binary":
+            mix *= d - 1
+            mix[copied] = d
+            tail = _genes(d) > mix
+            return np.concatenate(
+                [np.where(tail, second, first), np.where(tail, first, second)], axis=1
+            )
+        if self.crossover == "simulated_binary":
             spread, swap = mix.reshape(2, d, pairs, lanes)
             low, high = variation.simulated_binary(first, second, spread, self.crossover_index)
             # The pair is sorted by value: a fair coin for each gene says whose child is the lower.
@@ -202,13 +204,13 @@ class Genetic:
         and says how the gene mutates.
         """
         rate = 1.0 / len(children) if self.mutation_rate is None else self.mutation_rate
-        genes, chance = np.ascontiguousarray(children).reshape(-1), which.reshape(-1)
-        mutant = np.flatnonzero(chance < rate)
+        genes, chance = np.ascontiguousarray(children).ravel(), which.ravel()
+        mutant = (chance < rate).nonzero()[0]
         u, before = chance[mutant] / (rate or 1.0), genes[mutant]
         if self.mutation == "gaussian":
-            from scipy.special import ndtri
-
-            after = before + self.mutation_size * ndtri(np.maximum(u, _LEAST))
+            u = _quantile()(np.maximum(u, _LEAST, out=u))
+            u *= self.mutation_size
+            after = before + u
         elif self.mutation == "uniform":
             after = u
         else:
@@ -216,6 +218,20 @@ class Genetic:
             after = before + variation.polynomial_step(before, u, self.mutation_index)
         genes[mutant] = after
         return variation.within(genes)
+
+
+@functools.cache
+def _genes(count: int) -> npt.NDArray[np.intp]:
+    """Their numbers, ``(d, 1, 1)``."""
+    return np.arange(count)[:, None, None]
+
+
+@functools.cache
+def _quantile() -> Any:
+    """That of the normal distribution; SciPy is imported when it is used first."""
+    from scipy.special import ndtri
+
+    return ndtri
 
 
 def _between(first: Array, second: Array, share: Array) -> Array:

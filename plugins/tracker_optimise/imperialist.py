@@ -17,8 +17,10 @@ from tracker_optimise.draws import Keys, uniforms
 
 _TINY = 1e-300
 _HUGE = 1e300
-_PARALLEL = 1e-9
+_PARALLEL = np.array(1e-9)
 """Signs that have less than this square to the way are parallel to it: they turn it the less."""
+
+_HALF, _ONE = np.array(0.5), np.array(1.0)  # ufuncs take arrays faster than Python's numbers
 
 Places = npt.NDArray[np.intp]
 
@@ -125,24 +127,24 @@ class Imperialist:
         d, count = shape[:2]
         value = box.told(cost, memory.asked)[0]
         lanes = value.shape[1]
-        first = memory.generation == 0
-        once = count if first else self.imperialists
-        revolts = (d + 1) * count if self.revolution > 0.0 else 0
+        once = self.imperialists if memory.generation else count
+        revolts = (d + 1) * count if self.revolution else 0
         sizes = [once, count, (d + 1) * count, revolts]
-        drawn = uniforms(memory.key, memory.generation, sum(sizes))
-        u, far, turn, risings = box.parts(drawn, sizes)
-        if first:
-            empire, ruler = self._founded(_spread_out(value), u)
-        else:
+        u, far, turn, risings = box.parts(
+            uniforms(memory.key, memory.generation, sum(sizes)), sizes
+        )
+        if memory.generation:
             empire = memory.empire.reshape(count, lanes).copy()
             ruler = memory.ruler.reshape(self.imperialists, lanes).copy()
             for lane in range(lanes):
                 self._competed(value[:, lane], empire[:, lane], ruler[:, lane], u[:, lane])
+        else:
+            empire, ruler = self._founded(_spread_out(value), u)
         x = memory.asked.reshape(d, count * lanes)
-        there = _flat(ruler.take(_flat(empire))).reshape(-1)
-        moved = self._assimilated(x, there, far.reshape(-1), turn.reshape(d + 1, x.shape[1]))
+        there = _flat(ruler.take(_flat(empire))).ravel()
+        moved = self._assimilated(x, there, far.ravel(), turn.reshape(d + 1, count * lanes))
         if revolts:
-            chance, places = risings[:count].reshape(-1), risings[count:].reshape(x.shape)
+            chance, places = risings[:count].ravel(), risings[count:].reshape(x.shape)
             rises = (chance < self.revolution) & (there != np.arange(there.size))
             moved = np.where(rises, places, moved)
         return World(
@@ -186,17 +188,20 @@ class Imperialist:
         sums = np.bincount(empire, cost, self.imperialists).tolist()
         members = np.bincount(empire, None, self.imperialists).tolist()
         alive = [k for k, size in enumerate(members) if size]
+        above = cost.tolist()
         best = {}
         for place in ranked:
-            if homes[place] not in best:
-                best[homes[place]] = place
+            home = homes[place]
+            if home not in best:
+                best[home] = place
                 if len(best) == len(alive):
                     break
         total = {}
         for k in alive:
-            reigning = float(cost[best[k]])
-            if reigning < cost[rulers[k]]:
-                rulers[k] = best[k]
+            place = best[k]
+            reigning = above[place]
+            if reigning < above[rulers[k]]:
+                ruler[k] = rulers[k] = place
             total[k] = reigning + self.share * (sums[k] - reigning) / max(members[k] - 1, 1)
         weakest = max(alive, key=total.__getitem__)
         top = total[weakest]
@@ -216,7 +221,6 @@ class Imperialist:
         for k in alive:
             if members[k] == 1 and k != winner:
                 empire[rulers[k]] = winner
-        ruler[:] = rulers
 
     def _assimilated(self, x: Array, there: Places, far: Array, turn: Array) -> Array:
         """Countries ``(d, P lanes)`` after moving towards those at flat places ``there``.
@@ -225,23 +229,28 @@ class Imperialist:
         random signs has square to it.
 
         Shapes:
-            uniforms far ``(P lanes,)`` for the distance, turn ``(1 + d, P lanes)`` for angle and side.
+            uniforms far ``(P lanes,)`` for the distance, turn ``(1 + d, P lanes)`` for angle and side;
+            both are written over.
         """
         towards = x.take(there, axis=1)
         towards -= x
-        along = far * self.assimilation
-        turn = turn - 0.5
-        angle, side = turn[0], np.copysign(1.0, turn[1:])
+        turn -= _HALF
+        side = np.copysign(_ONE, turn[1:])
+        angle = turn[0]
         angle *= 2.0 * self.deviation
-        size = np.add.reduce(towards * towards, axis=0)
-        shadow = np.add.reduce(side * towards, axis=0)
+        far *= self.assimilation
+        along = np.cos(angle)
+        along *= far
+        across = np.sin(angle)
+        across *= far
+        size = np.add.reduce(towards * towards)
+        shadow = np.add.reduce(side * towards)
         share = shadow / (size + _TINY)
         shadow *= share
-        across = np.sin(angle)
-        across *= along
-        across *= np.sqrt(size / np.maximum(len(x) - shadow, _PARALLEL))
-        along *= np.cos(angle)
-        along -= across * share
+        size /= np.maximum(len(x) - shadow, _PARALLEL)
+        across *= np.sqrt(size)
+        share *= across
+        along -= share
         towards *= along
         side *= across
         towards += side

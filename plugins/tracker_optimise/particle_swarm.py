@@ -145,7 +145,7 @@ class ParticleSwarm:
         np.minimum(moved, self.fastest, out=moved)
         there = x + moved
         back = variation.within(there.copy())
-        moved *= back == there
+        np.copyto(moved, 0.0, where=back != there)
         return Swarm(
             memory.box,
             memory.key,

@@ -14,6 +14,8 @@ from tracker.types import Array
 _LEAST_GAP = 1e-14
 """Parents closer than this in a parameter have children equal to them in it (Deb's own code)."""
 
+_ZERO, _ONE = np.array(0.0), np.array(1.0)  # ufuncs take arrays faster than Python's numbers
+
 
 def simulated_binary(first: Array, second: Array, u: Array, index: float) -> tuple[Array, Array]:
     """Two children of two parents, spread as by one-point crossover of binary strings, in bounds.
@@ -55,8 +57,8 @@ def polynomial_step(x: Array, u: Array, index: float) -> Array:
 
 def within(x: Array) -> Array:
     """Back into the unit cube, to the nearest point; in place."""
-    np.maximum(x, 0.0, out=x)
-    return np.minimum(x, 1.0, out=x)
+    np.maximum(x, _ZERO, out=x)
+    return np.minimum(x, _ONE, out=x)
 
 
 def permutations(u: Array) -> Any:

@@ -242,7 +242,7 @@ def test_colonies_move_up_to_twice_the_way_and_off_by_at_most_45_degrees(d: int)
     x = rng.uniform(0.45, 0.55, (d, 400))
     there = np.zeros(400, dtype=np.intp)
     far, turn = rng.uniform(size=400), rng.uniform(size=(d + 1, 400))
-    moved = optimiser._assimilated(x, there, far, turn) - x
+    moved = optimiser._assimilated(x, there, far.copy(), turn.copy()) - x
     way = x[:, :1] - x
     length, distance = (np.sqrt((v**2).sum(axis=0)) for v in (moved[:, 1:], way[:, 1:]))
     assert length == pytest.approx(2.0 * far[1:] * distance, rel=1e-9)
@@ -257,9 +257,11 @@ def test_a_world_of_one_dimension_has_no_side_to_turn_to() -> None:
     x = np.array([[0.5, 0.2, 0.9, 0.5]])
     there = np.zeros(4, dtype=np.intp)
     far, turn = np.full(4, 0.5), np.full((2, 4), 0.5)
-    assert optimiser._assimilated(x, there, far, turn) == pytest.approx(np.full((1, 4), 0.5))
+    assert optimiser._assimilated(x, there, far.copy(), turn.copy()) == pytest.approx(
+        np.full((1, 4), 0.5)
+    )
     turn[0] = 0.9
-    moved = optimiser._assimilated(x, there, far, turn)
+    moved = optimiser._assimilated(x, there, far.copy(), turn.copy())
     assert np.abs(moved - (x + np.cos(0.4 * math.pi / 2.0) * (0.5 - x))).max() < 1e-9
 
 
