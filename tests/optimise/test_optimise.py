@@ -177,6 +177,55 @@ def test_what_is_resumed_brings_its_own_bounds() -> None:
     assert again.evaluations.tolist() == [60], "a smaller budget is used up already"
 
 
+@pytest.mark.parametrize(
+    "given", [{"bounds": BOX}, {"optimiser": "genetic"}, {"restarts": 4}, {"seed": 0}, {"start": [[0.0]] * 4}],
+    ids=lambda given: next(iter(given)),
+)  # fmt: skip
+def test_what_is_its_own_is_refused_beside_resume(given: dict[str, Any]) -> None:
+    found = tk.optimise(bowl, BOX, evaluations=60)
+    with pytest.raises(
+        tk.TrackerError, match=f"argument '{next(iter(given))}': got a value beside"
+    ):
+        tk.optimise(bowl, evaluations=90, resume=found, **given)
+
+
+@pytest.mark.parametrize("end", [{"target": 0.1}, {"patience": 3}])
+def test_a_front_has_no_lowest_cost_to_watch(end: dict[str, Any]) -> None:
+    def two(x: Any) -> Any:
+        return np.stack([bowl(x), -bowl(x)])
+
+    with pytest.raises(tk.TrackerError, match=r"NSGA2 with 2 objectives.*no lowest cost"):
+        tk.optimise(two, BOX, "nsga2", evaluations=900, **end)
+
+
+def test_what_breaks_a_constraint_is_not_at_the_target() -> None:
+    """The bowl's bottom is at 0.3, and x must be 0.8: it costs 0.25 at least, and 0 is not allowed."""
+
+    def bounded(x: Any) -> Any:
+        return np.stack([(x[0] - 0.3) ** 2, 0.8 - x[0]])
+
+    optimiser = NSGA2(objectives=1, constraints=1, population=20)
+    options: dict[str, Any] = {"restarts": 3, "seed": 1}
+    never = tk.optimise(bounded, BOX, optimiser, evaluations=2000, target=0.2, **options)
+    assert never.reason == ("budget",) * 3
+    found = tk.optimise(bounded, BOX, optimiser, evaluations=4000, target=0.251, **options)
+    assert found.reason == ("target",) * 3
+    x, cost = found.survivors()
+    allowed = np.where(cost[1] <= 0.0, cost[0], np.inf)
+    assert (allowed.min(axis=0) <= 0.251).all()
+    assert (np.take_along_axis(x[0], allowed.argmin(axis=0)[None], axis=0) >= 0.8).all()
+    # The lowest cost of all is soon 0; that of the allowed gets better for longer than that.
+    stalled = tk.optimise(bounded, BOX, optimiser, evaluations=20000, patience=40, **options)
+    assert stalled.reason == ("stalled",) * 3
+    kept = stalled.survivors()[1]
+    assert np.where(kept[1] <= 0.0, kept[0], np.inf).min(axis=0) == pytest.approx(0.25, abs=2e-3)
+
+    def nowhere(x: Any) -> Any:
+        return np.stack([x[0], 1.0 + 0.0 * x[0]])
+
+    assert tk.optimise(nowhere, BOX, optimiser, evaluations=200, target=9.0).reason == ("budget",)
+
+
 def test_a_file_names_an_optimiser_and_no_class(tmp_path: Path) -> None:
     found = tk.optimise(bowl, BOX, Unknown(), evaluations=60)
     with pytest.raises(tk.TrackerError, match="not registered"):
