@@ -12,11 +12,12 @@ from scipy import stats
 from scipy.linalg import solve_discrete_are
 
 import tracker as tk
+from tracker.registry import default_registry
 from tracker_papers.flying_object import flying_object
 from tracker_papers.paper4 import methods
 from tracker_papers.paper4.scores import measured, mismatch, rms
 from tracker_papers.paper4.study import PaperFour
-from tracker_papers.underwater_angles import PLACES, START, underwater_angles
+from tracker_papers.underwater_angles import PLACES, START, TRUE_R, UNITS, underwater_angles
 from tracker_papers.underwater_multipath import PRESETS, underwater_multipath
 from tracker_sensors.azimuth_elevation import azimuth_elevation
 from tracker_sensors.multipath_delays import multipath_delays
@@ -187,6 +188,45 @@ def test_eq_3_18_and_3_19_are_different_numbers():
     # row J4 of Table 3-1, 15947 (or 12947), lies with the sum
     j4 = published("table3-1/j4")["table3-1/j4/kf"].values
     assert min(abs(v - np.median(cost)) for v in j4) < min(abs(v - np.median(whole)) for v in j4)
+
+
+ONE_SIGN = {"0": "1", "6": "1"}
+"""The font of the newer text: what a digit became; all others are themselves."""
+
+CHAPTER_3 = [str(k) for k in range(1, 22)]
+
+
+def readings(seen):
+    """The equations of chapter 3 whose number would look like this."""
+    return {n for n in CHAPTER_3 if "".join(ONE_SIGN.get(d, d) for d in n) == seen}
+
+
+def of_equation(number):
+    """Components that say they are this equation of the thesis."""
+    return {
+        one.name
+        for one in default_registry()
+        if one.paper == "4" and f"3-{number}" in one.equations and one.kind != "reproduction"
+    }
+
+
+def test_section_3_4_refers_to_equations_whose_digits_became_one_sign():
+    """The section speaks of the mismatch, of the fuzzy system that reads it, and of J2."""
+    assert readings("1") == {"1", "6"}
+    assert readings("11") == {"10", "11", "16"}
+    for seen, meant in (("1", "6"), ("11", "10")):
+        speaks_of = of_equation(meant)
+        assert "fuzzy_measurement_noise" in speaks_of
+        assert speaks_of.isdisjoint(of_equation(seen)), "as it stands it is about something else"
+    assert of_equation("1") == {"particle_swarm"}
+    assert of_equation("11") == {"flying_object"}
+
+
+def test_eq_3_13_and_3_19_are_used_twice_by_the_thesis_and_not_by_its_font():
+    merged = {seen for seen in CHAPTER_3 if len(readings(seen)) > 1}
+    assert merged == {"1", "11"}, "numbers that the font alone would give to several equations"
+    assert readings("13") == {"13"}
+    assert readings("19") == {"19"}
 
 
 def test_eq_3_21_can_only_lower_the_noise():
@@ -402,6 +442,21 @@ def test_eq_5_12_is_not_the_derivative_with_a_minus():
     np.testing.assert_allclose(
         sensor.jacobian(np.array([dx, dy, dz, 0, 0, 0]))[:, :3], right, rtol=1e-12
     )
+
+
+@pytest.mark.statistical
+def test_chapter_5_is_judged_by_angles_and_not_by_eq_4_23_and_4_24():
+    """Mean squares of 500 normals in each of 20 runs: beyond 40 % of the variance once in 10^8."""
+    scene = underwater_angles()
+    found = measured(scene, {"ekf": methods.estimator(scene, "ekf1")}, 20, 1)
+    variances = np.tile(TRUE_R, 2) * UNITS["1e-4 rad^2"]
+    squares = found.j1**2 / variances[:, None]  # 5-23: the RMS of angles, in rad
+    assert (squares > 0.6).all()
+    assert (squares < 1.4).all()
+    assert (found["ekf"].j2 < found.j1).all(), "and J2 those of the estimate, as 5-24 has it"
+    # 4-23, 4-24: how a delay by the bottom changes with x and y; negative where the target is north-east
+    east, north = rows(170.0, 240.0, 62.0, 285.0, 270.0, 1500.0, 1)[1, :2]
+    assert max(east, north) < 0.0, "no root of a mean square"
 
 
 def test_chapter_5_measures_angles():
