@@ -318,6 +318,6 @@ def tracker_components(registry: Registry) -> None:
             target="tracker_kalman.gaussian_sum:GaussianSumFilter",
             summary="Gaussian sum: weighted filters side by side, split, pruned and merged.",
             paper="Alspach and Sorenson, Nonlinear Bayesian estimation using Gaussian sum approximations, 1972",
-            tags=("mixture", "nonlinear"),
+            tags=("mixture", "nonlinear", "traced"),
         )
     )

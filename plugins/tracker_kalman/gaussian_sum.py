@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -10,9 +11,13 @@ import numpy as np
 
 from tracker.algebra import mix
 from tracker.errors import DomainError, wording
+from tracker.models import absolute, exp, isnan, less, log, maximum, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.mixture import begun, chosen, innovation, made, together
+from tracker_kalman.mixture import begun, chosen, innovation, made, of_each, together
+
+MOST = 16
+"""Members of a compiled step, which has instructions of its own for each of them."""
 
 
 # ------------------------------------------------------------------------------------- belief
@@ -34,13 +39,17 @@ class GaussianSum:
     @property
     def weights(self) -> Any:
         """Weights, ``(K, *batch)``."""
-        return np.exp(self.logs)
+        return exp(self.logs)
+
+    def each(self) -> Gaussian:
+        """Means and covariances of the members, over the batch ``(K, *batch)``."""
+        return of_each(lambda member: member.moments(), self.members)  # type: ignore[no-any-return]
 
     def moments(self) -> Gaussian:
         """Mean and covariance of the whole."""
-        own = self.members.moments()
+        own = self.each()
         if self.logs.shape[0] == 1:
-            dead = np.where(np.isnan(self.logs[0]), math.nan, 0.0)
+            dead = where(isnan(self.logs[0]), math.nan, 0.0)
             return Gaussian.trusted(own.mean[:, 0] + dead, own.cov[:, :, 0] + dead)
         return Gaussian.trusted(*mix(own.mean, own.cov, self.weights, self.circular))
 
@@ -51,10 +60,19 @@ def normalised(logs: Any) -> tuple[Any, Any]:
     Shapes:
         logs ``(K, *batch)``; results alike and ``(*batch)``. NaN where all weights are zero.
     """
-    most = np.max(logs, axis=0)
+    most = largest(logs)
     with np.errstate(all="ignore"):
-        total = most + np.log(np.exp(logs - most).sum(axis=0))
+        total = most + log(exp(logs - most).sum(axis=0))
+        # of one member whose weight is zero, nodes would find logs - logs to be nothing
+        total = where(less(-math.inf, most), total, math.nan)
         return logs - total, total
+
+
+def largest(values: Any) -> Any:
+    """The largest along the first axis."""
+    if not values.dtype.hasobject:
+        return np.max(values, axis=0)
+    return functools.reduce(maximum, values)  # of graph nodes none is known to be larger
 
 
 # ------------------------------------------------------------------------------------- filter
@@ -103,6 +121,8 @@ class GaussianSumFilter:
     with all of its members. The innovation is that of the mixture: ``residual`` and ``S`` come from
     the moments of the predicted measurement, ``nis`` from these, ``loglik`` from the mixture itself.
 
+    Compiled up to 16 members, if none are merged.
+
     Raises:
         DomainError: if components is below one, or prune or merge is out of range.
     Reference:
@@ -124,10 +144,21 @@ class GaussianSumFilter:
     prune: float = attrs.field(default=0.0, kw_only=True, validator=_share)
     merge: float = attrs.field(default=0.0, kw_only=True, validator=_share)
 
-    tags = ("opaque",)
-    why_opaque = "its members are lanes side by side, of arrays"
-
     smoothers = ()
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """Whether it runs on arrays only."""
+        return ("opaque",) if self.why_opaque else ()
+
+    @property
+    def why_opaque(self) -> str:
+        """Why its step cannot be compiled, or ''."""
+        if self.components > MOST:
+            return f"{self.components} members are too many to unroll (at most {MOST})"
+        if self.merge:
+            return "which members are merged is found by comparing all pairs"
+        return str(getattr(self.filter, "why_opaque", ""))
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -151,8 +182,9 @@ class GaussianSumFilter:
         flags = (False,) * n if motion is None else motion.space.circular
         places = () if motion is None else motion.space.position
         parts, weights = split(prior, self.components, places or tuple(range(n)))
-        logs = np.log(weights).reshape(-1, *(1,) * len(prior.batch))
-        logs = np.broadcast_to(logs, (self.components, *prior.batch)).copy()
+        batch = prior.mean.shape[1:]
+        logs = np.log(weights).reshape(-1, *(1,) * len(batch))
+        logs = np.broadcast_to(logs, (self.components, *batch)).copy()
         return GaussianSum(begun(self.filter, parts), logs, flags)
 
     # --------------------------------------------------------------------------- the steps
@@ -161,16 +193,21 @@ class GaussianSumFilter:
     ) -> GaussianSum:
         """Each member predicted; weights stay."""
         before = _sum(state, self.filter)
-        members = self.filter.predict(before.members, motion, dt, _over_members(u), t)
+        given = _over_members(u)
+
+        def ahead(member: Any) -> Any:
+            return self.filter.predict(member, motion, dt, given, t)
+
+        members = of_each(ahead, before.members)
         return attrs.evolve(before, members=members, circular=motion.space.circular)
 
     def project(self, state: Any, sensor: SensorModel, pose: Any = None) -> SumProjection:
         """Moments of the measurement that the members predict together."""
         before = _sum(state, self.filter)
-        seen = self.filter.project(before.members, sensor, _over_members(pose))
-        own, m = before.members.moments(), len(seen.z)
+        seen = self._projected(before, sensor, pose)
+        own, m = before.each(), len(seen.z)
         mean = np.concatenate([own.mean, seen.z])
-        cov = np.empty((len(mean),) * 2 + own.cov.shape[2:])
+        cov = np.empty((len(mean),) * 2 + own.cov.shape[2:], own.cov.dtype)
         cov[:-m, :-m], cov[-m:, -m:] = own.cov, seen.S
         cov[:-m, -m:], cov[-m:, :-m] = seen.cross, seen.cross.swapaxes(0, 1)
         flags = (*before.circular, *sensor.space.circular)
@@ -188,25 +225,33 @@ class GaussianSumFilter:
     ) -> tuple[GaussianSum, Innovation]:
         """Each member updated, and weighted by its likelihood; NaN in z was not measured."""
         before = _sum(state, self.filter)
-        where = _over_members(pose)
         known = isinstance(projection, SumProjection)
-        seen = projection.members if known else self.filter.project(before.members, sensor, where)
+        seen = projection.members if known else self._projected(before, sensor, pose)
         measured = np.broadcast_to(np.asarray(z)[:, None], seen.z.shape)
-        members, told = self.filter.update(before.members, sensor, measured, where, seen)
+        place = _over_members(pose)
+
+        def updated(member: Any, z: Any, its: Any) -> Any:
+            return self.filter.update(member, sensor, z, place, its)
+
+        members, told = of_each(updated, before.members, measured, seen)
         zhat, S = (
             (projection.z, projection.S)
             if known
             else together(seen.z, seen.S, before.weights, sensor)
         )
-        alive = np.isfinite(told.loglik)
+        alive = less(absolute(told.loglik), math.inf)
         members = chosen(alive, members, 0.0)
-        logs, loglik = normalised(np.where(alive, before.logs + told.loglik, -math.inf))
+        logs, loglik = normalised(where(alive, before.logs + told.loglik, -math.inf))
         after = attrs.evolve(before, members=members, logs=logs)
         if self.merge:
             after = merged(after, self.merge, self.filter)
         if self.prune:
             after = pruned(after, self.prune)
         return after, innovation(sensor, z, zhat, S, loglik, told.count[0])
+
+    def _projected(self, before: GaussianSum, sensor: SensorModel, pose: Any) -> Any:
+        place = _over_members(pose)
+        return of_each(lambda member: self.filter.project(member, sensor, place), before.members)
 
 
 @attrs.frozen(eq=False)
@@ -250,6 +295,8 @@ def split(prior: Gaussian, count: int, places: tuple[int, ...]) -> tuple[Gaussia
     Laws:
         mean and covariance of the mixture are those of the prior.
     """
+    if count == 1:
+        return Gaussian.trusted(prior.mean[:, None], prior.cov[:, :, None]), np.ones(1)
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
     weights = weights / weights.sum()
     narrow = 2.0 / (1.0 + count)  # of the variance: members overlap as their number grows
@@ -272,8 +319,8 @@ def split(prior: Gaussian, count: int, places: tuple[int, ...]) -> tuple[Gaussia
 
 def pruned(belief: GaussianSum, share: float) -> GaussianSum:
     """The same without members of less than this share of the heaviest one's weight."""
-    least = np.max(belief.logs, axis=0) + math.log(share)
-    logs, _ = normalised(np.where(belief.logs < least, -math.inf, belief.logs))
+    least = largest(belief.logs) + math.log(share)
+    logs, _ = normalised(where(less(belief.logs, least), -math.inf, belief.logs))
     return attrs.evolve(belief, logs=logs)
 
 
@@ -283,7 +330,7 @@ def merged(belief: GaussianSum, cost: float, rule: Any) -> GaussianSum:
     Reference:
         Runnalls (2007): an upper bound of the divergence between before and after.
     """
-    own, weights = belief.members.moments(), belief.weights
+    own, weights = belief.each(), belief.weights
     first, second = np.triu_indices(len(weights), 1)
     if not len(first):
         return belief

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import attrs
@@ -10,7 +11,9 @@ import numpy as np
 
 from tracker.algebra import finite, mahalanobis, mix, without_missing
 from tracker.models import absolute, isnan, less, where
+from tracker.models.graph import Node
 from tracker.protocols import SensorModel
+from tracker.recursion import lanes_of
 from tracker.types import Innovation
 
 
@@ -28,6 +31,44 @@ def begun(rule: Any, state: Any) -> Any:
     return rule.begin(state) if hasattr(rule, "begin") else state
 
 
+def of_each(work: Callable[..., Any], *values: Any) -> Any:
+    """What ``work`` makes of beliefs, projections or arrays with an axis of members before the batch.
+
+    On lanes members are lanes, too: they are worked at once. On graph nodes, which know of no lanes,
+    one is worked after the other, and what comes out is put side by side.
+    """
+    count = _nodes_of(values)
+    if not count:
+        return work(*values)
+    parts = [work(*lanes_of(values, k)) for k in range(count)]
+    return _beside(parts)
+
+
+def _nodes_of(value: Any) -> int:
+    """How many members a value over graph nodes has; 0 if it is not made of nodes."""
+    if isinstance(value, np.ndarray):
+        return value.shape[-1] if value.dtype.hasobject else 0
+    if attrs.has(type(value)):
+        value = tuple(getattr(value, field.name) for field in attrs.fields(type(value)))
+    return max(map(_nodes_of, value), default=0) if isinstance(value, tuple) else 0
+
+
+def _beside(parts: Sequence[Any]) -> Any:
+    """Values of the same kind, side by side along a last axis; settings are those of the first."""
+    first = parts[0]
+    if isinstance(first, (np.ndarray, Node, float)):
+        return np.stack(parts, axis=-1).astype(object, copy=False)
+    if isinstance(first, tuple):
+        return tuple(_beside(some) for some in zip(*parts, strict=True))
+    if not attrs.has(type(first)):
+        return first
+    made = object.__new__(type(first))
+    for field in attrs.fields(type(first)):
+        some = [getattr(part, field.name) for part in parts]
+        object.__setattr__(made, field.name, _beside(some))
+    return made
+
+
 def chosen(condition: Any, belief: Any, other: Any) -> Any:
     """A belief where the condition holds, lane by lane, and elsewhere another, or a number throughout.
 
@@ -37,11 +78,7 @@ def chosen(condition: Any, belief: Any, other: Any) -> Any:
     if isinstance(belief, np.ndarray):
         if not belief.dtype.hasobject:
             return belief if np.all(condition) else np.where(condition, belief, other)
-        out = np.empty(belief.size, dtype=object)
-        flat = other.ravel().tolist() if isinstance(other, np.ndarray) else [other] * belief.size
-        pairs = zip(belief.ravel().tolist(), flat, strict=True)
-        out[:] = [where(condition, a, b) for a, b in pairs]
-        return out.reshape(belief.shape)
+        return where(condition, belief, other)
     single = isinstance(other, float)
     if isinstance(belief, tuple):
         others = (other,) * len(belief) if single else other

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import attrs
@@ -10,10 +11,12 @@ import numpy as np
 
 from tracker.algebra import condition, congruence
 from tracker.errors import CapabilityError, DomainError, wording
+from tracker.models import absolute, cos, isnan, less, log, sin, where
+from tracker.models.graph import Node
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation
 from tracker_kalman.gaussian_sum import GaussianSum, GaussianSumFilter, normalised
-from tracker_kalman.mixture import begun, chosen, made
+from tracker_kalman.mixture import begun, chosen, made, of_each
 
 ANGLES = ("azimuth", "elevation")
 
@@ -67,7 +70,7 @@ class RangeParameterised:
     else, from a site that is its pose or its parameters "sx", "sy" (and "sz"); how angles are counted it
     is asked itself. Other sensors update the members as they are. Any ``filter`` will do for these.
 
-    ``prune`` and ``merge`` as in `tracker_kalman.GaussianSumFilter`.
+    ``prune`` and ``merge`` as in `tracker_kalman.GaussianSumFilter`; compiled up to 16 components.
 
     Shapes:
         states with "x", "y" (and, for elevation, "z") of any batch shape.
@@ -93,9 +96,6 @@ class RangeParameterised:
     merge: float = attrs.field(default=0.0, kw_only=True)
     _sum: GaussianSumFilter = attrs.field(init=False, repr=False)
 
-    tags = ("opaque",)
-    why_opaque = GaussianSumFilter.why_opaque
-
     @_sum.default
     def _gaussian_sum(self) -> GaussianSumFilter:
         return GaussianSumFilter(
@@ -116,6 +116,16 @@ class RangeParameterised:
     smoothers = ()
 
     @property
+    def tags(self) -> tuple[str, ...]:
+        """Whether it runs on arrays only."""
+        return self._sum.tags
+
+    @property
+    def why_opaque(self) -> str:
+        """Why its step cannot be compiled, or ''."""
+        return self._sum.why_opaque
+
+    @property
     def needs(self) -> tuple[str, ...]:
         """What its filter needs."""
         return tuple(self.filter.needs)
@@ -130,14 +140,26 @@ class RangeParameterised:
         """What it believes that mean and covariance do not say."""
         return f"a sum of {self.components} Gaussians" if self.components > 1 else ""
 
-    def begin(self, prior: Any, motion: MotionModel | None = None) -> Bank:
-        """A bank that waits for its first direction: all members are the prior."""
+    def begin(
+        self,
+        prior: Any,
+        motion: MotionModel | None = None,
+        sensors: Sequence[SensorModel] = (),
+    ) -> Bank:
+        """A bank that waits for its first direction: all members are the prior.
+
+        Raises:
+            CapabilityError: if a sensor of directions does not measure them from where it seems to be.
+        """
         if isinstance(prior, Bank):
             return prior
+        for sensor in sensors:
+            if _sees_direction(sensor):
+                _Sight.probe(sensor, prior.mean, self.nearest)
         count, batch = self.components, prior.mean.shape[1:]
         logs = np.full((count, *batch), -math.log(count))
         flags = (False,) * len(prior.mean) if motion is None else motion.space.circular
-        members = begun(self.filter, _repeated(prior, count))
+        members = begun(self.filter, self._of_prior(prior))
         return Bank(GaussianSum(members, logs, flags), np.zeros(batch))
 
     def predict(
@@ -166,16 +188,21 @@ class RangeParameterised:
         before = self.begin(state)
         after, told = self._sum.update(before.sum, sensor, z, pose, projection)
         values = np.asarray(z)
-        fresh = (before.started == 0.0) & ~np.isnan(values).any(axis=0)
-        if not np.any(fresh) or not _sees_direction(sensor):
+        measured: Any = 1.0
+        for value in values:
+            measured = where(isnan(value), 0.0, measured)
+        fresh = less(0.5, measured - before.started)
+        idle = isinstance(fresh, (bool, np.bool_, np.ndarray)) and not np.any(fresh)
+        if idle or not _sees_direction(sensor):
             return attrs.evolve(before, sum=after), told
-        members = before.sum.members.moments()
+        members = before.sum.each()
         prior = Gaussian.trusted(members.mean[:, 0], members.cov[:, :, 0])
         logs, laid, loglik = self._laid_out(prior, sensor, values, pose)
-        first = attrs.evolve(after, members=begun(self.filter, laid), logs=logs)
-        told = attrs.evolve(told, loglik=np.where(fresh & told.ok, loglik, told.loglik))
-        started = np.where(fresh, 1.0, before.started)
-        return Bank(chosen(fresh, first, after), started), told
+        begin = of_each(lambda member: begun(self.filter, member), laid)
+        first = attrs.evolve(after, members=begin, logs=logs)
+        sound = where(less(absolute(told.nis), math.inf), loglik, told.loglik)
+        told = attrs.evolve(told, loglik=where(fresh, sound, told.loglik))
+        return Bank(chosen(fresh, first, after), where(fresh, 1.0, before.started)), told
 
     # -------------------------------------------------------------------------- the layout
     def _laid_out(
@@ -189,17 +216,33 @@ class RangeParameterised:
         middle, spread, size = (v.reshape(-1, *(1,) * len(batch)) for v in cells(edges, d))
         along = sight.towards[:, None] * sight.towards
         across = congruence(sight.turning, sensor.R(prior.mean, pose))
-        S = along[:, :, None] * spread + across[:, :, None] * (middle**2 + spread)
-        centre = sight.site[:, None] + sight.towards[:, None] * middle
-        sight.check(sensor, z, pose, prior.mean, centre)
-        wide = _repeated(prior, self.components)
         places = list(sensor.state.position[:d])
-        v = centre - wide.mean[places]
-        S = S + wide.cov[np.ix_(places, places)]
-        mean, cov, _, fit, _ = condition(wide.mean, wide.cov, v, S, wide.cov[:, places])
+
+        def laid(wide: Gaussian, centre: Any, S: Any) -> tuple[Gaussian, Any]:
+            v, S = centre - wide.mean[places], S + wide.cov[np.ix_(places, places)]
+            mean, cov, _, fit, _ = condition(wide.mean, wide.cov, v, S, wide.cov[:, places])
+            return Gaussian.trusted(mean, cov), fit
+
+        def of_all(value: Any) -> Any:
+            return _repeated(value, self.components, len(batch))
+
+        centre = of_all(sight.site) + of_all(sight.towards) * middle
+        if not centre.dtype.hasobject:  # graph nodes have no numbers to look at: see `begin`
+            sight.check(sensor, z, pose, prior.mean, centre)
+        S = of_all(along) * spread + of_all(across) * (middle**2 + spread)
+        members, fit = of_each(laid, self._of_prior(prior), centre, S)
         fit = fit + np.log(size) + sight.logarea
-        logs, loglik = normalised(np.where(np.isfinite(fit), fit, -math.inf))
-        return logs, Gaussian.trusted(mean, cov), loglik
+        alive = less(absolute(fit), math.inf)
+        logs, loglik = normalised(where(alive, fit, -math.inf))
+        return logs, chosen(alive, members, 0.0), loglik
+
+    def _of_prior(self, prior: Gaussian) -> Gaussian:
+        """A Gaussian several times, on an axis before those of the batch."""
+        axes = prior.mean.ndim - 1
+        return Gaussian.trusted(
+            _repeated(prior.mean, self.components, axes),
+            _repeated(prior.cov, self.components, axes),
+        )
 
 
 def cells(edges: Any, dimensions: int) -> tuple[Any, Any, Any]:
@@ -223,12 +266,10 @@ def cells(edges: Any, dimensions: int) -> tuple[Any, Any, Any]:
     return middle, moment(2) / size - middle**2, size
 
 
-def _repeated(prior: Gaussian, count: int) -> Gaussian:
-    """A Gaussian several times, on an axis before those of the batch."""
-    return Gaussian.trusted(
-        np.repeat(prior.mean[:, None], count, axis=1),
-        np.repeat(prior.cov[:, :, None], count, axis=2),
-    )
+def _repeated(values: Any, count: int, axes: int) -> Any:
+    """An array several times, on an axis before those of the batch."""
+    axis = values.ndim - axes
+    return np.repeat(np.expand_dims(values, axis), count, axis=axis)
 
 
 # ------------------------------------------------------------------------------ line of sight
@@ -243,7 +284,7 @@ class _Sight:
 
     Shapes:
         site ``(d, *batch)``; towards, a unit vector ``(d, *batch)``; turning ``(d, d - 1, *batch)``, how
-        that turns with the angles; logarea ``(*batch)``, of a unit of the angles.
+        that turns with the angles; logarea ``(*batch)`` or 0, of a unit of the angles.
     """
 
     site: Any
@@ -265,19 +306,37 @@ class _Sight:
             ahead, left = angles((1.0, 0.0)), angles((0.0, 1.0))
         else:
             ahead, left = angles((1.0, 0.0, 0.0)), angles((0.0, 1.0, 0.0))
-        sense = np.sign(sensor.residual(left, ahead)[0])
+        sense = _sign(sensor.residual(left, ahead)[0])
         turn = sense * sensor.residual(z, ahead)[0]
-        c, s = np.cos(turn), np.sin(turn)
+        c, s = cos(turn), sin(turn)
         if d == 2:
             towards, turning = np.stack([c, s]), np.stack([-s, c])[:, None] * sense
-            return cls(site, towards, turning, np.zeros(z.shape[1:]))
-        upwards = np.sign(angles((1.0, 0.0, 1.0))[1])
+            return cls(site, towards, turning, 0.0)
+        upwards = _sign(angles((1.0, 0.0, 1.0))[1])
         up = upwards * z[1]
-        cu, su = np.cos(up), np.sin(up)
+        cu, su = cos(up), sin(up)
         towards = np.stack([cu * c, cu * s, su])
-        sideways = np.stack([-cu * s, cu * c, np.zeros_like(c)]) * sense
+        sideways = np.stack([-cu * s, cu * c, 0.0 * c]) * sense
         rising = np.stack([-su * c, -su * s, cu]) * upwards
-        return cls(site, towards, np.stack([sideways, rising], axis=1), np.log(cu))
+        return cls(site, towards, np.stack([sideways, rising], axis=1), log(cu))
+
+    @classmethod
+    def probe(cls, sensor: Any, mean: Any, distance: float) -> None:
+        """Refuse a sensor that does not measure from where it seems to be: before anything was measured.
+
+        Raises:
+            CapabilityError: as `check`.
+        """
+        told = getattr(sensor, "parameters", {}).values()
+        batch = np.broadcast_shapes(mean.shape[1:], *map(np.shape, told))
+        mean = np.broadcast_to(mean.reshape(*mean.shape, *(1,) * (len(batch) + 1 - mean.ndim)),
+                               (len(mean), *batch))  # fmt: skip
+        size, d = sensor.pose_space.size, len(sensor.space) + 1
+        pose = 10.0 * np.arange(1.0, size + 1.0).reshape(-1, *(1,) * len(batch)) if size else None
+        aside = distance * np.reshape((0.6, 0.8, 0.5)[:d], (d, *(1,) * len(batch)))
+        z = sensor.h(_moved(sensor, mean, _site(sensor, pose, d, batch) + aside), pose)
+        sight = cls.of(sensor, z, pose, mean, distance)
+        sight.check(sensor, z, pose, mean, (sight.site + distance * sight.towards)[:, None])
 
     def check(self, sensor: Any, z: Any, pose: Any, mean: Any, centre: Any) -> None:
         """Refuse a sensor that would not have measured z from the places found.
@@ -299,6 +358,10 @@ class _Sight:
                 )
 
 
+def _sign(value: Any) -> Any:
+    return where(less(0.0, value), 1.0, -1.0)
+
+
 SAME = 1e-6
 """Angles are the same if they differ by less than this [rad]."""
 
@@ -307,12 +370,16 @@ def _site(sensor: Any, pose: Any, d: int, batch: tuple[int, ...]) -> Any:
     """Where the sensor is, from its pose or its parameters; without either it is the origin."""
     names = sensor.pose_space.names
     offered = getattr(sensor, "parameters", {})
-    where = None if pose is None else np.asarray(pose)
+    given = None if pose is None else np.asarray(pose)
     rows = [
-        where[names.index(name)] if name in names and where is not None else offered.get(name, 0.0)
+        given[names.index(name)] if name in names and given is not None else offered.get(name, 0.0)
         for name in ("sx", "sy", "sz")[:d]
     ]
-    return np.stack([np.broadcast_to(row, batch) for row in rows])
+    nodes = any(isinstance(row, Node) for row in rows)
+    out = np.empty((d, *batch), dtype=object if nodes else np.float64)
+    for k, row in enumerate(rows):
+        out[k] = row
+    return out
 
 
 def _moved(sensor: Any, mean: Any, place: Any) -> Any:

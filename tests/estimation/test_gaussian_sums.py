@@ -25,11 +25,6 @@ PRIOR = tk.Gaussian(np.array([1.0, 2.0, 0.5, 0.0]), np.diag([9.0, 4.0, 1.0, 1.0]
 FILTERS = ["kf", "ekf1", "ukf", "ukf_square_root"]
 
 
-@pytest.fixture(autouse=True)
-def interpretation():
-    """These filters run on arrays only: one way is enough."""
-
-
 def record(batch=(), steps=20, seed=1):
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.choice([0.0, 0.5, 1.0], steps))

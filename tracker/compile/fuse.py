@@ -118,8 +118,9 @@ def why_not(filter_: Any, motion: Any, sensors: Sequence[Any]) -> str:
             return f"{role} {name!r} is opaque: {reason}"
         if not hasattr(model, "with_parameters") or not hasattr(model, "parameters"):
             return f"{role} {name!r} does not offer its parameters (with_parameters)"
-    if "opaque" in getattr(filter_, "tags", ()):
-        return f"filter {type(filter_).__name__} says that it is opaque"
+    reason = getattr(filter_, "why_opaque", "")
+    if reason or "opaque" in getattr(filter_, "tags", ()):
+        return f"filter {type(filter_).__name__} is opaque: {reason or 'it says so'}"
     if is_random(filter_):
         return f"filter {type(filter_).__name__} draws random numbers"
     return ""

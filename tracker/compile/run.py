@@ -444,8 +444,7 @@ def _beliefs(problem: _Problem, arrays: Mapping[str, Array], layout: Layout) -> 
             kept = problem.lanes_of(arrays[f"{when}.{leaf.name}"])
             array = np.zeros((len(kept), *leaf.shape, *kept.shape[2:]))
             for i, place in enumerate(leaf.places()):
-                mirrored = place[::-1] if leaf.form == "symmetric" else place
-                for where in (place, mirrored):
+                for where in (place, leaf.mirrored(place)):
                     key: tuple[Any, ...] = (slice(None), *where)
                     array[key] = kept[:, i]
             whole[leaf.name] = array

@@ -63,11 +63,17 @@ class Leaf:
 
     def places(self) -> list[tuple[int, ...]]:
         """Indices of the entries that are carried."""
+        rest = list(np.ndindex(*self.shape[2:]))  # members of a set, each with such a matrix
         if self.form == "symmetric":
-            return [(i, j) for i in range(self.shape[0]) for j in range(i, self.shape[1])]
+            pairs = ((i, j) for i in range(self.shape[0]) for j in range(i, self.shape[1]))
+            return [(*pair, *r) for pair in pairs for r in rest]
         if self.form == "lower":
-            return [(i, j) for i in range(self.shape[0]) for j in range(i + 1)]
+            return [(i, j, *r) for i in range(self.shape[0]) for j in range(i + 1) for r in rest]
         return list(np.ndindex(*self.shape))
+
+    def mirrored(self, place: tuple[int, ...]) -> tuple[int, ...]:
+        """Where else the entry at a place belongs: across the diagonal of a symmetric matrix."""
+        return (place[1], place[0], *place[2:]) if self.form == "symmetric" else place
 
     @property
     def count(self) -> int:
@@ -195,14 +201,12 @@ def of_nodes(leaf: Leaf, nodes: Sequence[Node]) -> Any:
     """A leaf's array with these nodes where they belong; a window as a delay line."""
     if leaf.length:
         return _Line(_array(nodes, leaf.shape), None)
-    if leaf.form == "symmetric":
-        return unpack(nodes, leaf.shape[0])
     if not leaf.shape:
         return nodes[0]
-    if leaf.form == "lower":
+    if leaf.form in {"symmetric", "lower"}:
         out = np.zeros(leaf.shape, dtype=object)
         for place, node in zip(leaf.places(), nodes, strict=True):
-            out[place] = node
+            out[place] = out[leaf.mirrored(place)] = node
         return out
     return _array(nodes, leaf.shape)
 
