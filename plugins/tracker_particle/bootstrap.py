@@ -102,7 +102,7 @@ class BootstrapFilter:
 
     def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
         """In words, why records are filtered step by step with these models, or ''."""
-        return records.why_not(motion, sensors)
+        return records.why_not(records.usual_passes, motion, sensors)
 
     def whole(
         self,
@@ -115,10 +115,8 @@ class BootstrapFilter:
     ) -> bool:
         """Fill in the history of a record, if that can be done at once: whether it was done."""
         rule = records.Rule(
-            self.predict,
-            self.update,
+            self.predict, self.update,
             functools.partial(resampled, scheme=self.resampling, threshold=self.threshold),
-            self.threshold,
-            self.resampling,
-        )
+            self.threshold, self.resampling, records.usual_passes, records.PARTICLES,
+        )  # fmt: skip
         return records.filtered(rule, state, motion, sensors, record, start, history)

@@ -37,7 +37,7 @@ from tracker_particle.belief import Particles
 TINY = 1e-250
 """Below this sum of likelihoods, relative to the largest there could be, digits are lost."""
 
-_SHARP = 1e-6
+SHARP = 1e-6
 """A variance below this share of the mean square about the centre is computed again, in two passes."""
 
 
@@ -47,7 +47,12 @@ class Pass:
 
     call: Callable[..., None]
     machine: objects.Machine
-    left: Any
+    size: int
+
+    @property
+    def left(self) -> Any:
+        """What its memory is an instance of."""
+        return numbers(self.size)
 
 
 @attrs.frozen
@@ -70,19 +75,26 @@ class _Weigh:
 
 
 # ----------------------------------------------------------------------------------- programs
-class _Rows:
+class Rows:
     """A program over rows: particles are its time steps, numbers that all share its constants."""
 
     def __init__(self) -> None:
         self.program = Program()
 
     def row(self, name: str) -> Any:
+        """A number of each particle; `machine` says where it lies, by its name."""
         return self.program.input(name, 1, Rate.BOTH)[0]
 
     def rows(self, name: str, count: int) -> list[Any]:
+        """Several, one after the other."""
         return [self.row(f"{name}{i}") for i in range(count)]
 
+    def pairs(self, count: int) -> list[tuple[Any, Any]]:
+        """Uniforms for so many normals."""
+        return [(self.row(f"a{i}"), self.row(f"b{i}")) for i in range(-(-count // 2))]
+
     def out(self, name: str, entries: Any) -> None:
+        """Numbers of each particle that the pass writes."""
         for i, entry in enumerate(entries):
             self.program.history(f"{name}{i}", [entry])
 
@@ -93,9 +105,17 @@ class _Rows:
         return bool(self.program.rates(needed([entry]))[entry.index] & Rate.LANE)
 
     def finished(
-        self, constants: list[Any], sums: list[Any], conclude: Callable[..., list[Any]]
+        self,
+        constants: list[Any],
+        sums: list[Any],
+        conclude: Callable[..., list[Any]],
+        *,
+        in_place: bool = False,
     ) -> Pass:
-        """The pass whose sums, and constants of all particles, lead to what ``conclude`` says."""
+        """The pass whose sums, and constants of all particles, lead to what ``conclude`` says.
+
+        ``in_place``: rows are written where others of the same place are read.
+        """
         self.program.state("constants", len(constants))
         self.program.set("constants", constants)
         self.program.total("sums", sums)
@@ -110,25 +130,39 @@ class _Rows:
             emit(program).replace("define void @run(", f"define internal void @{name}(", 1)
             for name, program in (("step", self.program), ("last", last))
         ]
+        if in_place:
+            texts[0] = texts[0].replace("ptr noalias", "ptr")
         lines = [line for text in texts for line in text.splitlines()]
         declared = dict.fromkeys(line for line in lines if line.startswith("declare "))
         defined = [line for line in lines if not line.startswith("declare ")]
         entry = machine.entry(self.program, len(constants), len(sums), len(found))
         made = objects.compiled("\n".join([*declared, *defined, *entry]) + "\n")
         call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 6)(made.address)
-        return Pass(call, made, ctypes.c_double * len(found))
+        return Pass(call, made, len(found))
 
 
-def _second_moments(weight: Any, d: list[Any]) -> list[Any]:
+def second_moments(weight: Any, d: list[Any]) -> list[Any]:
+    """What the moments of some differences are sums of."""
     scaled = [weight * e for e in d]
-    return [*scaled, *(scaled[i] * d[j] for i, j in _upper(len(d)))]
+    return [*scaled, *(scaled[i] * d[j] for i, j in upper(len(d)))]
 
 
-def _upper(m: int) -> list[tuple[int, int]]:
+def upper(m: int) -> list[tuple[int, int]]:
+    """Places of the upper triangle of a matrix, row by row."""
     return [(i, j) for i in range(m) for j in range(i, m)]
 
 
-def _with(model: Any, nodes: list[Any]) -> Any:
+def normals(pairs: list[tuple[Any, Any]]) -> list[Any]:
+    """Normals of pairs of uniforms, as `draws.normals` has them."""
+    out: list[Any] = [None] * (2 * len(pairs))
+    for i, (a, b) in enumerate(pairs):
+        radius, angle = sqrt(-2.0 * log(1.0 - a)), (2.0 * math.pi) * (b - 0.5)
+        out[i], out[len(pairs) + i] = radius * cos(angle), radius * sin(angle)
+    return out
+
+
+def with_numbers(model: Any, nodes: list[Any]) -> Any:
+    """A model with these parameters."""
     if not nodes:
         return model
     return model.with_parameters(**dict(zip(model.parameters, nodes, strict=True)))
@@ -140,19 +174,16 @@ def _ahead(key: _Ahead) -> Pass:
     centre. Constants out: where the centre goes.
     """
     n, k, q = key.motion.space.size, key.columns, key.inputs
-    rows = _Rows()
+    rows = Rows()
     x = vector(rows.rows("x", n))
-    pairs = [(rows.row(f"a{i}"), rows.row(f"b{i}")) for i in range(-(-k // 2))]
+    pairs = rows.pairs(k)
     weight = exp(rows.row("weight"))
     parameters = len(key.motion.parameters)
     given = rows.program.input("given", 2 + q + parameters + n * k + n, Rate.CALL)
     dt, t, u = given[0], given[1], given[2 : 2 + q]
-    motion = _with(key.motion, given[2 + q : 2 + q + parameters])
+    motion = with_numbers(key.motion, given[2 + q : 2 + q + parameters])
     rest = given[2 + q + parameters :]
-    noise: list[Any] = [None] * (2 * len(pairs))
-    for i, (a, b) in enumerate(pairs):  # as `draws.normals`
-        radius, angle = sqrt(-2.0 * log(1.0 - a)), (2.0 * math.pi) * (b - 0.5)
-        noise[i], noise[len(pairs) + i] = radius * cos(angle), radius * sin(angle)
+    noise = normals(pairs)
     inputs = vector(u) if q else None
     ahead = list(motion.f(x, dt, inputs, t))
     for i in range(n):
@@ -165,7 +196,7 @@ def _ahead(key: _Ahead) -> Pass:
     def conclude(centre: list[Any], sums: list[Any], _given: list[Any]) -> list[Any]:
         return _gaussian(centre, sums, 1.0)
 
-    return rows.finished(centre, _second_moments(weight, d), conclude)
+    return rows.finished(centre, second_moments(weight, d), conclude)
 
 
 @functools.lru_cache(maxsize=64)
@@ -174,13 +205,13 @@ def _weigh(key: _Weigh) -> Pass:
     parameters, centre. Constants out: the largest log-likelihood there can be, R.
     """
     sensor, n, m = key.sensor, key.n, key.sensor.space.size
-    rows = _Rows()
+    rows = Rows()
     x = vector(rows.rows("x", n))
     before = rows.row("weight")
     p, parameters = sensor.pose_space.size, len(sensor.parameters)
     given = rows.program.input("given", m + p + parameters + n, Rate.CALL)
     z, pose = vector(given[:m]), vector(given[m : m + p]) if p else None
-    sensor = _with(sensor, given[m + p : m + p + parameters])
+    sensor = with_numbers(sensor, given[m + p : m + p + parameters])
     about = vector(given[m + p + parameters :])
     R = sensor.R(x, pose)
     if any(rows.differs(e) for e in R.ravel()):
@@ -207,25 +238,25 @@ def _weigh(key: _Weigh) -> Pass:
             sums[m + len(noise) :][:2],
             sums[m + len(noise) + 2 :],
         )
-        mean, cov = _mean_and_covariance([0.0] * m, prior, 1.0)
+        mean, cov = mean_and_covariance([0.0] * m, prior, 1.0)
         S = np.empty((m, m), dtype=object)
-        for (i, j), r in zip(_upper(m), noise, strict=True):
+        for (i, j), r in zip(upper(m), noise, strict=True):
             S[i, j] = S[j, i] = cov[i][j] + r
         v = [where(isnan(a), math.nan, b) for a, b in zip(z, mean, strict=True)]
         loglik = peak + log(total)
         centre = given[len(given) - n :]
-        nis = _conditioned(vector(v), S, vector(centre))[2]
+        nis = conditioned(vector(v), S, vector(centre))[2]
         found = [*v, *S.ravel(), nis, loglik, total, total * total / squares]
         return [*_gaussian(centre, rest, total), *found]
 
     return rows.finished(
-        [peak, *(R[i, j] for i, j in _upper(m))],
-        [*_second_moments(exp(before), v), chance, chance * chance, *_second_moments(chance, d)],
+        [peak, *(R[i, j] for i, j in upper(m))],
+        [*second_moments(exp(before), v), chance, chance * chance, *second_moments(chance, d)],
         conclude,
     )
 
 
-def _conditioned(v: Any, S: Any, x: Any) -> tuple[Any, ...]:
+def conditioned(v: Any, S: Any, x: Any) -> tuple[Any, ...]:
     """What a Gaussian without spread would be told by a residual: nis and loglik are of v alone."""
     n, m = len(x), len(v)
     still, unrelated = np.zeros((n, n), dtype=object), np.zeros((n, m), dtype=object)
@@ -234,10 +265,10 @@ def _conditioned(v: Any, S: Any, x: Any) -> tuple[Any, ...]:
 
 def _log_density(v: Any, R: Any, x: Any) -> Any:
     """That of the measured components."""
-    return _conditioned(v, R, x)[3]
+    return conditioned(v, R, x)[3]
 
 
-def _mean_and_covariance(
+def mean_and_covariance(
     centre: list[Any], sums: list[Any], total: Any
 ) -> tuple[list[Any], list[list[Any]]]:
     """From sums about a centre."""
@@ -253,10 +284,10 @@ def _mean_and_covariance(
 
 def _gaussian(centre: list[Any], sums: list[Any], total: Any) -> list[Any]:
     """Mean, covariance, and 1 if the sums had enough digits for it."""
-    mean, cov = _mean_and_covariance(centre, sums, total)
+    mean, cov = mean_and_covariance(centre, sums, total)
     n, good, at = len(mean), 1.0, len(mean)
     for i in range(n):
-        good = where(less(_SHARP * sums[at] / total, cov[i][i]), good, 0.0)
+        good = where(less(SHARP * sums[at] / total, cov[i][i]), good, 0.0)
         at += n - i
     return [*mean, *(e for row in cov for e in row), good]
 
@@ -419,7 +450,7 @@ def choosing() -> Pass:
     """The compiled choice of ancestors."""
     made = objects.compiled(machine.choosing())
     call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 6, *[ctypes.c_void_p] * 4)(made.address)
-    return Pass(call, made, None)
+    return Pass(call, made, 0)
 
 
 class _Scratch(threading.local):
@@ -437,11 +468,11 @@ class _Scratch(threading.local):
 _scratch = _Scratch()
 
 
-def laid_out(state: Particles, points: Any, weights: Any) -> None:
-    """Write a cloud into rows ``(n, full)`` and ``(full,)``: what fills up stands still and weighs nothing."""
-    count = len(state.log_weights)
-    points[:, :count], points[:, count:] = state.points, state.points[:, -1:]
-    weights[:count], weights[count:] = state.log_weights, -math.inf
+def laid_out(rows: Array, log_weights: Array, points: Any, weights: Any) -> None:
+    """Write a cloud into rows ``(n, full)`` and ``(full,)``: what fills up is a copy, and weighs nothing."""
+    count = len(log_weights)
+    points[:, :count], points[:, count:] = rows, rows[:, -1:]
+    weights[:count], weights[count:] = log_weights, -math.inf
 
 
 def _memory(state: Particles) -> Any:
@@ -455,7 +486,8 @@ def _memory(state: Particles) -> Any:
     ):
         return state.points.ctypes.data, state.log_weights.ctypes.data
     points, weights = numbers(n * full)(), numbers(full)()
-    laid_out(state, np.ndarray((n, full), _DOUBLE, points), np.ndarray((full,), _DOUBLE, weights))
+    whole = np.ndarray((n, full), _DOUBLE, points), np.ndarray((full,), _DOUBLE, weights)
+    laid_out(state.points, state.log_weights, *whole)
     return points, weights
 
 
@@ -474,7 +506,7 @@ def moving(motion: Any, n: int, columns: int, inputs: int) -> Any:
     flags = motion.space.circular
     if len(flags) != n or any(flags):
         return "a component of its state lives on a circle"
-    return _found(_made_ahead, motion, (columns, inputs))
+    return made_for(_made_ahead, motion, (columns, inputs))
 
 
 def weighing(sensor: Any, n: int, m: int, p: int) -> Any:
@@ -484,10 +516,10 @@ def weighing(sensor: Any, n: int, m: int, p: int) -> Any:
         return "it is given what it does not take"
     if any(flags):
         return "a component of its state lives on a circle"
-    return _found(_made_weigh, sensor, n)
+    return made_for(_made_weigh, sensor, n)
 
 
-def _found(make: Callable[[Any, Any], Pass], model: Any, size: Any) -> Any:
+def made_for(make: Callable[[Any, Any], Pass], model: Any, size: Any) -> Any:
     try:
         known = _FOUND.setdefault(model, {})
     except TypeError:

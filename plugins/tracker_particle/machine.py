@@ -13,7 +13,11 @@ from tracker.compile.program import WIDTH, Program, Rate
 from tracker.models.functions import exp
 from tracker_particle import draws
 
-_PLACES = {"x": "points", "weight": "weights", "a": "drawn", "b": "drawn", "given": "given"}
+_PLACES = {
+    "x": "points", "moved": "points", "weight": "weights", "a": "drawn", "b": "drawn",
+    "given": "given",
+}  # fmt: skip
+"""Where the rows of a step lie, by what they are called; those of other names are written to ``out``."""
 
 
 _MATRICES = ("points", "weights", "drawn", "given", "out", "left")
@@ -296,7 +300,7 @@ def choosing() -> str:
 
 # -------------------------------------------------------------------------------------- steps
 NUMBERS = {
-    "first": "i64", "last": "i64", "count": "i64", "N": "i64", "n": "i64",
+    "first": "i64", "last": "i64", "count": "i64", "N": "i64", "n": "i64", "more": "i64",
     "k1": "i64", "k2": "i64", "step": "i64",
     "points": "ptr", "points.spare": "ptr", "points.chosen": "ptr",
     "weights": "ptr", "weights.spare": "ptr", "weights.even": "ptr", "scratch": "ptr",
@@ -305,7 +309,11 @@ NUMBERS = {
     "weigh.left": "ptr", "weigh.found": "i64", "choose": "ptr",
     "centre": "ptr", "apart": "i64", "size": "double", "enough": "double", "least": "double", "stopped": "i64",
 }  # fmt: skip
-"""What the loop over steps is given, each of 8 bytes, in this order; it writes back where it stopped."""
+"""What the loop over steps is given, each of 8 bytes, in this order; it writes back where it stopped.
+
+``more`` are numbers that belong to a cloud as a whole, beside its rows: a pass leaves the mean, these, the
+covariance, and 1 if digits were enough; and its row of numbers ends with a centre and these.
+"""
 
 SENSOR = ("weigh", "given", "inputs", "found")
 """What it is given of each sensor: a pass, its rows of numbers, how long they are, and where among what is found
@@ -343,7 +351,8 @@ def stepping() -> str:
 
     lines += [
         "  %square = mul i64 %n, %n",
-        "  %moments = add i64 %n, %square",
+        "  %known = add i64 %n, %more",
+        "  %moments = add i64 %known, %square",
         "  %all = sitofp i64 %count to double",
         "  br label %again",
         "again:",
@@ -364,8 +373,8 @@ def stepping() -> str:
         "  %few = fcmp olt double %worth, %enough",
         "  br i1 %few, label %due, label %move",
         "due:",
-        "  %known = icmp ne ptr %choose, null",
-        "  br i1 %known, label %resample, label %exit",
+        "  %here = icmp ne ptr %choose, null",
+        "  br i1 %here, label %resample, label %exit",
         "resample:",
         f"  %word.chosen = add i64 %word, {draws.RESAMPLING << 8}",
         (
@@ -382,12 +391,17 @@ def stepping() -> str:
     ]
 
     def given(row: str, inputs: str, pitch: str, source: str, apart: str) -> None:
-        """The row of this step, ending with the centre."""
+        """The row of this step, ending with the centre and what belongs to the cloud as a whole."""
         lines.append(f"  %{row}.k = mul i64 %k, %{pitch}")
         at(row, inputs, f"%{row}.k")
-        lines.append(f"  %{row}.rest = sub i64 %{pitch}, %n")
+        lines.append(f"  %{row}.rest = sub i64 %{pitch}, %known")
         at(f"{row}.centre", row, f"%{row}.rest")
         lines.append(f"  call void @copied(i64 %n, ptr %{source}, i64 {apart}, ptr %{row}.centre)")
+        at(f"{row}.more.to", f"{row}.centre", "%n")
+        at(f"{row}.more.from", "mid" if row == "row" else source, "%n")
+        lines.append(
+            f"  call void @copied(i64 %more, ptr %{row}.more.from, i64 1, ptr %{row}.more.to)"
+        )
 
     given("row", "ahead.given", "ahead.inputs", "mid.own", "%apart.own")
     lines.append("  %ahead.k = mul i64 %k, %ahead.found")
@@ -475,17 +489,19 @@ def stepping() -> str:
 _COPIED = (
     "define internal void @copied(i64 %n, ptr %from, i64 %apart, ptr %to) {",
     "entry:",
-    "  br label %one",
-    "one:",
+    "  br label %again",
+    "again:",
     "  %i = phi i64 [0, %entry], [%i.next, %one]",
+    "  %done = icmp sge i64 %i, %n",
+    "  br i1 %done, label %exit, label %one",
+    "one:",
     "  %place = mul i64 %i, %apart",
     "  %source = getelementptr inbounds double, ptr %from, i64 %place",
     "  %value = load double, ptr %source, align 8",
     "  %target = getelementptr inbounds double, ptr %to, i64 %i",
     "  store double %value, ptr %target, align 8",
     "  %i.next = add i64 %i, 1",
-    "  %done = icmp sge i64 %i.next, %n",
-    "  br i1 %done, label %exit, label %one",
+    "  br label %again",
     "exit:",
     "  ret void",
     "}",

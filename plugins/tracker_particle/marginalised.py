@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import weakref
 from collections.abc import MutableMapping, Sequence
 from typing import Annotated, Any
@@ -14,8 +15,18 @@ from tracker.algebra import lanes
 from tracker.errors import CapabilityError, DomainError, wording
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import Array, Columns, Gaussian, Innovation, Projection, Space, brief
-from tracker_particle import alone, draws
+from tracker.types import (
+    Array,
+    Columns,
+    Gaussian,
+    History,
+    Innovation,
+    Projection,
+    Record,
+    Space,
+    brief,
+)
+from tracker_particle import alone, conditional, draws, records
 from tracker_particle.belief import Flags, centred, even, mean_of, outer, spread
 from tracker_particle.likelihood import distance
 from tracker_particle.parameters import a_count, a_share
@@ -238,12 +249,49 @@ class MarginalisedFilter:
         )
         belief = attrs.evolve(
             state,
-            means=np.where(unseen, state.means, means),
+            means=np.where(unseen | lost, state.means, means),
             covs=np.where(unseen, state.covs, covs),
             log_weights=np.where(unseen, state.log_weights, after),
             circular=tuple(sensor.state.circular),
         )
         return belief, innovation
+
+    def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
+        """In words, why records are filtered step by step with these models, or ''."""
+        return records.why_not(self._passes, motion, sensors)
+
+    def whole(
+        self,
+        state: MarginalisedParticles,
+        motion: MotionModel,
+        sensors: Sequence[SensorModel],
+        record: Record,
+        start: float | None,
+        history: History,
+    ) -> bool:
+        """Fill in the history of a record, if that can be done at once: whether it was done."""
+        if state.covs.shape[2] != 1:  # particles do not share it
+            return False
+        rule = records.Rule(
+            self.predict, self.update, self._resampled, self.threshold, self.resampling,
+            self._passes, _FORM,
+        )  # fmt: skip
+        return records.filtered(rule, state, motion, sensors, record, start, history)
+
+    def _passes(
+        self, motion: MotionModel, sensors: Sequence[SensorModel], dt: Array, inputs: int
+    ) -> records.Passes | str:
+        linear, n = _places(self.linear, motion.space), motion.space.size
+        if not linear:
+            return "no component is linear"
+        noise, place = records.by_time_step(dt, motion.Q, n)
+        ahead = conditional.moving(motion, linear, inputs)
+        weighs = [conditional.weighing(sensor, n, linear) for sensor in sensors]
+        given = np.moveaxis(noise, 2, 0).reshape(-1, n * n)
+        more = len(linear) * (len(linear) + 1) // 2
+        return records.passes_of(motion, sensors, ahead, weighs) or records.Passes(
+            ahead, weighs, (given, place), n - len(linear), more
+        )
 
     def _resampled(self, state: MarginalisedParticles) -> MarginalisedParticles:
         weights = state.weights
@@ -261,6 +309,32 @@ class MarginalisedFilter:
 
 
 # ------------------------------------------------------------------------------------- inside
+def _triangle(state: MarginalisedParticles) -> Array:
+    return state.covs[:, :, 0][np.triu_indices(len(state.covs))]
+
+
+def _later(
+    state: MarginalisedParticles,
+    rows: Array,
+    log_weights: Array,
+    step: int,
+    circular: Flags,
+    triangle: Array,
+    *_: Any,
+) -> MarginalisedParticles:
+    """As the loop over a record has left it."""
+    covs = np.empty(state.covs.shape)
+    i, j = np.triu_indices(len(covs))
+    covs[i, j, 0] = covs[j, i, 0] = triangle
+    points, means = rows[list(state.others)], rows[list(state.linear)]
+    return MarginalisedParticles(
+        points, means, covs, log_weights, state.key, step, state.linear, circular
+    )
+
+
+_FORM = records.Form(operator.attrgetter("states"), _triangle, _later)
+
+
 def _places(names: tuple[str, ...] | None, space: Space) -> tuple[int, ...]:
     if names is None:
         found = space.velocity

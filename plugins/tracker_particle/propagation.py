@@ -16,7 +16,7 @@ from tracker_particle.belief import Particles, effective_sample_size, even, spre
 from tracker_particle.resampling import SYSTEMATIC, Ancestors, Scheme
 
 _GRAIN = 1e-9
-_ROUNDING = 1e-13
+ROUNDING = 1e-13
 """A pivot below this share of its variance is what rounding left of a singular matrix."""
 
 
@@ -55,7 +55,7 @@ def factored(P: Array) -> Array:
     A, L = np.array(P), np.zeros(P.shape)
     for j in range(n):
         pivot = A[j, j]
-        gone = pivot <= _ROUNDING * P[j, j]  # NaN is not gone
+        gone = pivot <= ROUNDING * P[j, j]  # NaN is not gone
         np.divide(A[j:, j], np.sqrt(pivot), out=L[j:, j], where=~gone)
         column = L[j + 1 :, j]
         A[j + 1 :, j + 1 :] -= column[:, None] * column

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -22,8 +23,8 @@ from tracker.models.parameters import numbers_of
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Array, Gaussian, History, Record
 from tracker_particle import alone, kernels, machine
-from tracker_particle.belief import Particles
-from tracker_particle.propagation import factored, least_size, root
+from tracker_particle.belief import Particles, effective_sample_size
+from tracker_particle.propagation import factored, least_size
 from tracker_particle.resampling import SYSTEMATIC, Scheme
 
 _DOUBLE = np.dtype(np.float64)
@@ -31,48 +32,75 @@ _BYTES = 8
 
 
 @attrs.frozen(eq=False)
-class Rule:
-    """What the loop is told of a filter: its methods for a step, and how it resamples.
+class Passes:
+    """A pass for the motion and one for each sensor, each with its parameters.
 
-    ``scheme`` is None where resampling is ``renewed`` alone.
+    ``noise`` are the numbers that a prediction is given of the process noise: for every time step
+    that there is, ``(F, c)``, and which step of the record has which, ``(T, *batch)``. ``columns``
+    are the normals that a particle draws, ``more`` the numbers that belong to a cloud as a whole.
     """
 
-    predict: Callable[..., Particles]
+    ahead: tuple[kernels.Pass, list[float]]
+    weighs: Sequence[tuple[kernels.Pass, list[float]]]
+    noise: tuple[Array, Any]
+    columns: int
+    more: int = 0
+
+
+@attrs.frozen(eq=False)
+class Form:
+    """How a cloud of one lane is laid out: rows ``(n, N)``, numbers of the cloud ``(more,)``, and back.
+
+    ``made(state, rows, log_weights, step, circular, more, known, size)`` is a later belief than ``state``.
+    """
+
+    rows: Callable[[Any], Array]
+    more: Callable[[Any], Array]
+    made: Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class Rule:
+    """What the loop is told of a filter: its methods for a step, how it resamples, and its passes.
+
+    ``scheme`` is None where resampling is ``renewed`` alone. ``passes(motion, sensors, dt, inputs)`` are
+    those for time steps ``(T, *batch)``, or in words why there are none.
+    """
+
+    predict: Callable[..., Any]
     update: Callable[..., Any]
-    renewed: Callable[[Particles], Particles]
+    renewed: Callable[[Any], Any]
     threshold: float
     scheme: Scheme | None
+    passes: Callable[..., Passes | str]
+    form: Form
 
 
-def why_not(motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
+def why_not(passes: Callable[..., Passes | str], motion: Any, sensors: Sequence[Any]) -> str:
     """In words, why records are filtered step by step with these models, or ''."""
     if mode() != "on":
         return f"TRACKER_COMPILE={mode()}"
     if not objects.available():
         return MISSING
-    n = motion.space.size
     models: list[tuple[str, Any]] = [("motion", motion), *(("sensor", s) for s in sensors)]
     for role, model in models:
         if any(np.ndim(value) for value in numbers_of(model).values()):
-            return f"{role} {_name(model)!r} differs from lane to lane"
+            return f"{role} {name_of(model)!r} differs from lane to lane"
+        space = model.space if role == "motion" else model.state
+        if any(space.circular):
+            return f"a component of the state of {role} {name_of(model)!r} lives on a circle"
     with np.errstate(all="ignore"):
-        Q = motion.Q(np.zeros((n, 2)), 1.0)
-    if Q.shape[2:] != (1,):
-        return f"the noise of motion {_name(motion)!r} differs from particle to particle"
+        shape = motion.Q(np.zeros((motion.space.size, 2)), 1.0).shape
+    if shape[2:] != (1,):
+        return f"the noise of motion {name_of(motion)!r} differs from particle to particle"
     inputs = getattr(motion, "input_space", None)
-    found = kernels.moving(motion, n, root(Q).shape[1], 0 if inputs is None else inputs.size)
-    if type(found) is str:
-        return f"motion {_name(motion)!r}: {found}"
-    for sensor in sensors:
-        found = kernels.weighing(sensor, n, sensor.space.size, sensor.pose_space.size)
-        if type(found) is str:
-            return f"sensor {_name(sensor)!r}: {found}"
-    return ""
+    found = passes(motion, sensors, np.ones(1), 0 if inputs is None else inputs.size)
+    return found if isinstance(found, str) else ""
 
 
 def filtered(
     rule: Rule,
-    state: Particles,
+    state: Any,
     motion: MotionModel,
     sensors: Sequence[SensorModel],
     record: Record,
@@ -80,20 +108,74 @@ def filtered(
     history: History,
 ) -> bool:
     """Fill in the history of a record, lane by lane, if that can be done: whether it was done."""
-    made = _Loop.of(rule, state, motion, sensors, record, start)
-    if made is None:
+    times = np.empty((len(record) + 1, *record.t.shape[1:]))
+    times[0] = record.t[0] if start is None else start
+    times[1:] = record.t
+    inputs = 0 if record.u is None else record.u.shape[1]
+    passes = rule.passes(motion, sensors, times[1:] - times[:-1], inputs)
+    if isinstance(passes, str):
         return False
+    made = _Loop.of(rule, passes, motion, sensors, record, times, state.log_weights.shape[0])
     for at in np.ndindex(*record.batch):
         made.run(alone.cut(state, at), at)
         made.told(history, at)
     return True
 
 
-# ------------------------------------------------------------------------------------- inside
-def _name(model: Any) -> str:
+def passes_of(motion: Any, sensors: Sequence[Any], found: Any, seen: Sequence[Any]) -> str:
+    """In words, which of these passes there are not, or ''."""
+    models = (("motion", motion), *(("sensor", s) for s in sensors))
+    for (role, model), each in zip(models, (found, *seen), strict=True):
+        if isinstance(each, str):
+            return f"{role} {name_of(model)!r}: {each}"
+    return ""
+
+
+def usual_passes(
+    motion: MotionModel, sensors: Sequence[SensorModel], dt: Array, inputs: int
+) -> Passes | str:
+    """Those of particles alone."""
+    roots = _roots(motion, dt)
+    if roots is None:
+        return f"the columns of the noise of motion {name_of(motion)!r} come and go"
+    n, columns = roots[0].shape[1:]
+    ahead = kernels.moving(motion, n, columns, inputs)
+    weighs = [kernels.weighing(s, n, s.space.size, s.pose_space.size) for s in sensors]
+    why = passes_of(motion, sensors, ahead, weighs)
+    if why:
+        return why
+    return Passes(ahead, weighs, (roots[0].reshape(-1, n * columns), roots[1]), columns)
+
+
+def _later(
+    state: Particles,
+    rows: Array,
+    log_weights: Array,
+    step: int,
+    circular: tuple[bool, ...],
+    _more: Array,
+    known: Gaussian,
+    size: float,
+) -> Particles:
+    return Particles.known_as(rows, log_weights, state.key, step, circular, known, size)
+
+
+PARTICLES = Form(operator.attrgetter("points"), lambda _: np.empty(0), _later)
+
+
+def name_of(model: Any) -> str:
+    """What a model is called."""
     return str(getattr(model, "name", type(model).__name__))
 
 
+def by_time_step(dt: Array, compute: Callable[[Array, Array], Array], n: int) -> tuple[Array, Any]:
+    """``compute(x, dt)`` for every time step that there is, last axis, and which step has which."""
+    few, place = np.unique(dt, return_inverse=True)
+    found = compute(np.zeros((n, len(few))), few)
+    return np.broadcast_to(found, (*found.shape[:-1], len(few))), place.reshape(dt.shape)
+
+
+# ------------------------------------------------------------------------------------- inside
 @functools.cache
 def _stepping() -> tuple[Callable[[int], None], objects.Machine]:
     made = objects.compiled(machine.stepping())
@@ -112,10 +194,10 @@ class _Loop:
     """What the loop over the steps of a record works on: written anew for every lane.
 
     ``going`` and ``found`` have a row a step: what the passes leave of prediction and weighing.
-    ``offsets`` say where in ``found`` the innovation of a sensor begins: behind the moments.
     """
 
     rule: Rule
+    passes: Passes
     motion: MotionModel
     sensors: Sequence[SensorModel]
     record: Record
@@ -128,7 +210,6 @@ class _Loop:
     measured: Any
     numbers: Array
     centre: Array
-    roots: tuple[Array, Any]
     clouds: dict[int, Array]
     kept: tuple[Any, ...]
 
@@ -136,64 +217,57 @@ class _Loop:
     def of(
         cls,
         rule: Rule,
-        state: Particles,
+        passes: Passes,
         motion: MotionModel,
         sensors: Sequence[SensorModel],
         record: Record,
-        start: float | None,
-    ) -> _Loop | None:
-        n, count = state.points.shape[:2]
-        full, steps = kernels.filled(count), len(record)
-        times = np.empty((steps + 1, *record.t.shape[1:]))
-        times[0] = record.t[0] if start is None else start
-        times[1:] = record.t
-        roots = _roots(motion, times[1:] - times[:-1])
-        if roots is None:
-            return None
-        k, q = roots[0].shape[2], 0 if record.u is None else record.u.shape[1]
-        ahead = kernels.moving(motion, n, k, q)
-        weighs = [kernels.weighing(s, n, s.space.size, s.pose_space.size) for s in sensors]
-        if any(type(found) is str for found in (ahead, *weighs)):
-            return None
+        times: Array,
+        count: int,
+    ) -> _Loop:
+        n, more, full, steps = motion.space.size, passes.more, kernels.filled(count), len(record)
         which = np.zeros(steps, np.int64) if record.sensor is None else record.sensor
-        rows = np.empty((steps, 2 + q + len(ahead[1]) + n * k + n))
-        rows[:, 2 + q : 2 + q + len(ahead[1])] = ahead[1]
+        own = np.ascontiguousarray(which, np.int64)
+        q = 0 if record.u is None else record.u.shape[1]
+        parameters, noise = passes.ahead[1], passes.noise[0].shape[1]
+        rows = np.empty((steps, 2 + q + len(parameters) + noise + n + more))
+        rows[:, 2 + q : 2 + q + len(parameters)] = parameters
         looks = []
-        for sensor, (_, parameters) in zip(sensors, weighs, strict=True):
-            m, p = sensor.space.size, sensor.pose_space.size
-            look = np.empty((steps, m + p + len(parameters) + n))
-            look[:, m + p : m + p + len(parameters)] = parameters
+        for sensor, (_, parameters) in zip(sensors, passes.weighs, strict=True):
+            given = sensor.space.size + sensor.pose_space.size
+            look = np.empty((steps, given + len(parameters) + n + more))
+            look[:, given : given + len(parameters)] = parameters
             looks.append(look)
-        sizes = [ctypes.sizeof(done.left) // _BYTES for done, _ in (ahead, *weighs)]
+        sizes = [done.size for done, _ in (passes.ahead, *passes.weighs)]
         going, found = np.empty((steps, sizes[0])), np.empty((steps, max(sizes[1:])))
         clouds = [np.empty((n, full)) for _ in range(3)] + [np.empty(full) for _ in range(2)]
-        scratch = np.empty(max(kernels.drawing(k), kernels.CHOOSING) * full)
+        scratch = np.empty(max(kernels.drawing(passes.columns), kernels.CHOOSING) * full)
+        begins = n + more + n * n + 1
         table = np.array([
-            [done.machine.address, _address(look), look.shape[1], n + n * n + 1 + m + m * m + 1]
-            for (done, _), look, m in zip(weighs, looks, (s.space.size for s in sensors), strict=True)
+            [done.machine.address, _address(look), look.shape[1], begins + m + m * m + 1]
+            for (done, _), look, m in zip(
+                passes.weighs, looks, (s.space.size for s in sensors), strict=True
+            )
         ])  # fmt: skip
-        measured = np.empty(steps, np.int64)
-        numbers = np.zeros(len(_PLACE), np.int64)
-        own = cls(
-            rule, motion, sensors, record, times, np.ascontiguousarray(which, np.int64), rows, looks,
-            going, found, measured, numbers, np.empty(n), roots, {_address(c): c for c in clouds},
-            (ahead, weighs, scratch, table, kernels.even(count)),
+        measured, even = np.empty(steps, np.int64), kernels.even(count)
+        made = cls(
+            rule, passes, motion, sensors, record, times, own, rows, looks, going, found, measured,
+            np.zeros(len(_PLACE), np.int64), np.empty(n + more), {_address(c): c for c in clouds},
+            (scratch, table, even),
         )  # fmt: skip
-        choose = rule.scheme == SYSTEMATIC
-        own.put(
-            last=steps, count=count, N=full, n=n, scratch=_address(scratch),
-            ahead=ahead[0].machine.address, sensors=_address(table), which=_address(own.which),
-            measured=_address(measured), choose=kernels.choosing().machine.address if choose else 0,
-            enough=least_size(rule.threshold, count), least=kernels.TINY,
+        choose = kernels.choosing().machine.address if rule.scheme == SYSTEMATIC else 0
+        made.put(
+            last=steps, count=count, N=full, n=n, more=more, scratch=_address(scratch),
+            ahead=passes.ahead[0].machine.address, sensors=_address(table), which=_address(own),
+            measured=_address(measured), choose=choose, enough=least_size(rule.threshold, count),
+            least=kernels.TINY,
         )  # fmt: skip
-        own.put(**{
-            "points.chosen": _address(clouds[2]),
-            "weights.even": ctypes.addressof(kernels.even(count)),
+        made.put(**{
+            "points.chosen": _address(clouds[2]), "weights.even": ctypes.addressof(even),
             "ahead.given": _address(rows), "ahead.inputs": rows.shape[1],
             "ahead.left": _address(going), "ahead.found": going.shape[1],
             "weigh.left": _address(found), "weigh.found": found.shape[1],
         })  # fmt: skip
-        return own
+        return made
 
     def put(self, **values: Any) -> None:
         """Write numbers that the loop is given."""
@@ -206,17 +280,17 @@ class _Loop:
         kind = np.float64 if machine.NUMBERS[name] == "double" else np.int64
         return self.numbers.view(kind)[_PLACE[name]].item()
 
-    def run(self, state: Particles, at: tuple[int, ...]) -> None:
+    def run(self, state: Any, at: tuple[int, ...]) -> None:
         """All steps of a lane that begins in this state."""
         self._given(at)
         call, _ = _stepping()
         places = list(self.clouds)
-        k1, k2 = state.key.view(np.int64)
+        k1, k2 = np.ascontiguousarray(state.key).view(np.int64)
         self.put(k1=k1, k2=k2, first=0, weights=places[3])
         self.put(**{
             "points": places[0], "points.spare": places[1], "weights.spare": places[4],
         })  # fmt: skip
-        self._begin(state, float(state.effective_sample_size))
+        self._begin(state, _size(state))
         here = _address(self.numbers)
         while True:
             before = self.got("first")
@@ -232,18 +306,20 @@ class _Loop:
                 continue
             state = self._step(state, k, at)
             self.put(first=k + 1)
-            self._begin(state, float(state.effective_sample_size))
+            self._begin(state, _size(state))
 
     def told(self, history: History, at: tuple[int, ...]) -> None:
         """Write what was found into a lane of the history."""
         n = self.motion.space.size
+        known = n + self.passes.more
+        begins = known + n * n + 1
         here: Any = (slice(None), slice(None), *at)
         for trajectory, source in ((history.predicted, self.going), (history.filtered, self.found)):
             trajectory.mean[here] = source[:, :n]
-            trajectory.cov[(slice(None), *here)] = source[:, n : n + n * n].reshape(-1, n, n)
+            trajectory.cov[(slice(None), *here)] = source[:, known : begins - 1].reshape(-1, n, n)
         out = history.innovation
         for i, sensor in enumerate(self.sensors):
-            m, begins = sensor.space.size, n + n * n + 1
+            m = sensor.space.size
             mine: Any = slice(None) if len(self.sensors) == 1 else self.which == i
             found = self.found[mine, begins:]
             out.residual[(mine, slice(m), *at)] = found[:, :m]
@@ -255,14 +331,15 @@ class _Loop:
 
     def _given(self, at: tuple[int, ...]) -> None:
         """Numbers of this lane."""
-        record, n, rows = self.record, self.motion.space.size, self.rows
+        record, rows = self.record, self.rows
         times = self.times[(slice(None), *at)] if self.times.ndim > 1 else self.times
         rows[:, 0], rows[:, 1] = times[1:] - times[:-1], times[:-1]
         if record.u is not None:
             rows[:, 2 : 2 + record.u.shape[1]] = _of(record.u, at)
-        roots, place = self.roots
+        noise, place = self.passes.noise
         own = place[(slice(None), *at)] if place.ndim > 1 else place
-        rows[:, rows.shape[1] - n - roots[0].size : -n] = roots[own].reshape(len(rows), -1)
+        end = rows.shape[1] - len(self.centre)
+        rows[:, end - noise.shape[1] : end] = noise[own]
         z = record.z[(slice(None), slice(None), *at)]
         for i, (sensor, look) in enumerate(zip(self.sensors, self.looks, strict=True)):
             m, p = sensor.space.size, sensor.pose_space.size
@@ -272,30 +349,34 @@ class _Loop:
             mine: Any = slice(None) if len(self.sensors) == 1 else self.which == i
             self.measured[mine] = np.count_nonzero(~np.isnan(look[mine, :m]), axis=1)
 
-    def _begin(self, state: Particles, size: float) -> None:
+    def _begin(self, state: Any, size: float) -> None:
         """Where the loop goes on: from this cloud."""
         points, weights = (self.clouds[self.got(name)] for name in ("points", "weights"))
-        kernels.laid_out(state, points, weights)
-        self.centre[:] = state.points[:, 0] if state.known is None else state.known.mean
+        rows, known = self.rule.form.rows(state), getattr(state, "known", None)
+        kernels.laid_out(rows, state.log_weights, points, weights)
+        n = len(rows)
+        self.centre[:n] = rows[:, 0] if known is None else known.mean
+        self.centre[n:] = self.rule.form.more(state)
         self.put(size=size, step=state.step, centre=_address(self.centre), apart=1)
 
-    def _state(self, state: Particles, k: int) -> Particles:
+    def _state(self, state: Any, k: int) -> Any:
         """The belief before row k, to which the loop has come from a state."""
-        count, n = len(state.log_weights), len(state.points)
+        count, n = len(state.log_weights), self.motion.space.size
+        known = n + self.passes.more
         points, weights = (self.clouds[self.got(name)] for name in ("points", "weights"))
-        return Particles.known_as(
+        found = self.found[k - 1].copy()
+        return self.rule.form.made(
+            state,
             points[:, :count].copy(),
             weights[:count].copy(),
-            state.key,
             self.got("step"),
             tuple(self.sensors[self.which[k - 1]].state.circular),
-            Gaussian.trusted(
-                self.found[k - 1, :n].copy(), self.found[k - 1, n : n + n * n].reshape(n, n).copy()
-            ),
+            found[n:known],
+            Gaussian.trusted(found[:n], found[known : known + n * n].reshape(n, n)),
             self.got("size"),
         )
 
-    def _step(self, state: Particles, k: int, at: tuple[int, ...]) -> Particles:
+    def _step(self, state: Any, k: int, at: tuple[int, ...]) -> Any:
         """One step of the filter's own methods, told as the passes tell it."""
         record, rows, n = self.record, self.rows, self.motion.space.size
         u = None if record.u is None else _of(record.u, at)[k]
@@ -305,14 +386,20 @@ class _Loop:
         pose = _of(record.pose, at)[k, :p] if p and record.pose is not None else None
         z = record.z[(k, slice(m), *at)]
         after, innovation = self.rule.update(predicted, sensor, z, pose)
+        known = n + self.passes.more
         for row, belief in ((self.going[k], predicted), (self.found[k], after)):
             moments = belief.moments()
-            row[:n], row[n : n + n * n] = moments.mean, moments.cov.ravel()
-        begins = n + n * n + 1
+            row[:n], row[known : known + n * n] = moments.mean, moments.cov.ravel()
+        begins = known + n * n + 1
         self.found[k, begins : begins + m + m * m + 2] = [
             *innovation.residual, *innovation.S.ravel(), innovation.nis, innovation.loglik
         ]  # fmt: skip
         return after
+
+
+def _size(state: Any) -> float:
+    own = getattr(state, "effective_sample_size", None)
+    return float(effective_sample_size(state.weights) if own is None else own)
 
 
 def _of(values: Array, at: tuple[int, ...]) -> Array:
@@ -326,11 +413,9 @@ def _roots(motion: MotionModel, dt: Array) -> tuple[Array, Any] | None:
     They are those of `propagation.root`: which columns there are decides about the draws. None if
     columns come and go.
     """
-    few, place = np.unique(dt, return_inverse=True)
-    n = motion.space.size
-    full = np.broadcast_to(factored(motion.Q(np.zeros((n, len(few))), few)), (n, n, len(few)))
+    full, place = by_time_step(dt, lambda x, few: factored(motion.Q(x, few)), motion.space.size)
     there = (full != 0.0).any(axis=0)
     some, columns = there.any(axis=0), there.any(axis=1)
-    if not (columns == there[:, some].T).all():
+    if (there[:, some] != columns[:, None]).any():
         return None
-    return np.ascontiguousarray(np.moveaxis(full[:, columns], 2, 0)), place.reshape(dt.shape)
+    return np.ascontiguousarray(np.moveaxis(full[:, columns], 2, 0)), place

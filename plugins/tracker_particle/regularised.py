@@ -100,7 +100,7 @@ class RegularisedFilter:
 
     def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
         """In words, why records are filtered step by step with these models, or ''."""
-        return records.why_not(motion, sensors)
+        return records.why_not(records.usual_passes, motion, sensors)
 
     def whole(
         self,
@@ -112,7 +112,11 @@ class RegularisedFilter:
         history: History,
     ) -> bool:
         """Fill in the history of a record, if that can be done at once: whether it was done."""
-        rule = records.Rule(self.predict, self.update, self._renewed, self.threshold, None)
+        rule = records.Rule(
+            self.predict, self.update,
+            self._renewed,
+            self.threshold, None, records.usual_passes, records.PARTICLES,
+        )  # fmt: skip
         return records.filtered(rule, state, motion, sensors, record, start, history)
 
     def _renewed(self, state: Particles) -> Particles:
