@@ -131,9 +131,10 @@ class FuzzySystem:
     Singleton fuzzifier, product inference, centre-average defuzzifier: with strengths w of the rules
     and centres y of their output terms, ``sum(w y) / sum(w)``. "or" is ``a + b - a b``, "not" is
     ``1 - a``. Where all antecedents are Gaussian sets joined by "and", strengths are taken in relation
-    to the largest, so that the answer is exact however far the input lies from all sets: there the
-    rule whose strength fades most slowly decides. Otherwise, where no rule has any strength, the
-    answer is ``otherwise``.
+    to the largest, so that the answer is exact far from all sets, too: there the rule whose strength
+    fades most slowly decides. This holds up to 1e15 times the distance of two centres whose sets are
+    equally wide; numbers beyond do not tell these centres apart, and the answer is the mean of
+    theirs. Otherwise, where no rule has any strength, the answer is ``otherwise``.
 
     Its numbers are `parameters`: ``dom_PS_centre``, ``dom_PS_width``, ``adjustment_D_centre``. Each
     may differ per lane. It runs on floats, arrays of lanes and graph nodes alike.

@@ -75,13 +75,16 @@ def _exported(part: Antecedent, made: dict[str, Any]) -> Any:
 def from_scikit_fuzzy(system: Any) -> FuzzySystem:
     """The system that a ``skfuzzy.control.ControlSystem`` of one output is.
 
-    Its sets are sampled ones; those that are triangles or trapezia on its samples become that.
+    Its sets are sampled ones; those that are triangles or trapezia on its samples become that. What
+    a system cannot say of itself is refused: it is `tracker_adaptive.clipped_inference.clipped` that
+    answers as scikit-fuzzy does, with the smaller for "and", the larger for "or" and for the union,
+    and the centroid.
 
     Raises:
         PluginError: if scikit-fuzzy is not installed.
-        CapabilityError: if it has several outputs.
+        CapabilityError: if it has several outputs, or infers in another way.
     """
-    _control()
+    control = _control()
     outputs = list(system.consequents)
     if len(outputs) != 1:
         raise CapabilityError(
@@ -92,21 +95,60 @@ def from_scikit_fuzzy(system: Any) -> FuzzySystem:
                 do="make a system for each output",
             )
         )
+    _as_here(outputs[0], control.accumulation_max)
     rules = []
     for rule in system.rules:
-        condition = _imported(rule.antecedent)
+        condition = _imported(rule.antecedent, rule)
         rules += [Rule(condition, c.term.label, float(c.weight)) for c in rule.consequent]
     inputs = [_variable(one) for one in system.antecedents]
     return FuzzySystem(inputs, _variable(outputs[0]), rules)
 
 
-def _imported(part: Any) -> Antecedent:
+def _as_here(output: Any, largest: Any) -> None:
+    """Refuse an output that is united or read off in another way than `clipped` does by default."""
+    if output.defuzzify_method != "centroid":
+        raise _otherwise(
+            f"output {output.label!r}",
+            f"defuzzify_method={output.defuzzify_method!r}",
+            "'centroid', which a system answers with by default",
+            "set it to 'centroid', and give clipped(..., reading=) what was asked for there",
+        )
+    if output.accumulation_method not in (largest, *_LARGER):
+        raise _otherwise(
+            f"output {output.label!r}",
+            f"accumulation_method={_name(output.accumulation_method)}",
+            "the union of the clipped sets (accumulation_max)",
+            "leave it as it is made",
+        )
+
+
+_SMALLER, _LARGER = (np.fmin, np.minimum), (np.fmax, np.maximum)
+
+
+def _otherwise(where: str, got: str, expected: str, do: str) -> CapabilityError:
+    return CapabilityError(wording(f"{where} of scikit-fuzzy", got=got, expected=expected, do=do))
+
+
+def _name(function: Any) -> str:
+    return str(getattr(function, "__name__", function))
+
+
+def _imported(part: Any, rule: Any) -> Antecedent:
     if hasattr(part, "parent"):
         return Is(part.parent.label, part.label)
     if part.kind == "not":
-        return Not(_imported(part.term1))
-    kind = And if part.kind == "and" else Or
-    return kind(_imported(part.term1), _imported(part.term2))
+        return Not(_imported(part.term1, rule))
+    both = part.kind == "and"
+    used = rule.and_func if both else rule.or_func
+    if used not in (_SMALLER if both else _LARGER):
+        raise _otherwise(
+            f"rule with {str(part)!r}",
+            f"{part.kind}_func={_name(used)}",
+            f"the {'smaller (np.fmin)' if both else 'larger (np.fmax)'} of two",
+            "leave it out, or build a FuzzySystem: called itself, it multiplies",
+        )
+    kind = And if both else Or
+    return kind(_imported(part.term1, rule), _imported(part.term2, rule))
 
 
 def _variable(one: Any) -> Variable:

@@ -184,3 +184,40 @@ def test_what_was_made_there_is_read():
         assert simulated(system, {"x": value}) == pytest.approx(clipped(back, value), abs=1e-5)
     with pytest.raises(CapabilityError, match="sampled"):
         back.gradient(1.0)
+
+
+def made_there(**functions):
+    """A system of scikit-fuzzy with an "and" and an "or", and its output."""
+    control = pytest.importorskip("skfuzzy.control")
+    places = np.linspace(0.0, 1.0, 101)
+    a, b = (control.Antecedent(places, name) for name in "ab")
+    y = control.Consequent(places, "y")
+    a["on"] = b["on"] = places
+    y["low"], y["high"] = 1.0 - places, places
+    rules = [control.Rule(a["on"] & b["on"], y["high"], **functions),
+             control.Rule(~a["on"] | ~b["on"], y["low"], **functions)]  # fmt: skip
+    return control.ControlSystem(rules), y
+
+
+def test_another_reading_of_scikit_fuzzy_is_refused():
+    system, y = made_there()
+    from_scikit_fuzzy(system)
+    y.defuzzify_method = "bisector"
+    with pytest.raises(CapabilityError, match=r"'y' of scikit-fuzzy.*'bisector'.*reading="):
+        from_scikit_fuzzy(system)
+
+
+def test_another_and_or_or_of_scikit_fuzzy_is_refused():
+    for name, function in (("and_func", np.multiply), ("or_func", np.add)):
+        system, _ = made_there(**{name: function})
+        with pytest.raises(CapabilityError, match=f"{name}={function.__name__}"):
+            from_scikit_fuzzy(system)
+    same, _ = made_there(and_func=np.minimum, or_func=np.maximum)
+    assert len(from_scikit_fuzzy(same).rules) == 2
+
+
+def test_another_union_of_scikit_fuzzy_is_refused():
+    system, y = made_there()
+    y.accumulation_method = np.multiply
+    with pytest.raises(CapabilityError, match="accumulation_method=multiply"):
+        from_scikit_fuzzy(system)
