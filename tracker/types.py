@@ -673,8 +673,9 @@ class Innovation:
     Shapes:
         residual ``(m, *batch)``, NaN for a component that was not measured; S ``(m, m, *batch)``;
         nis, loglik, count, ok ``(*batch)``. ``count`` is the number of measured components: the
-        degrees of freedom of ``nis``. ``ok`` is False in a lane that is no longer finite. Inside a
-        History each has a leading time axis.
+        degrees of freedom of ``nis``. ``ok`` is False in a lane that is no longer finite, because it
+        diverged or because an update lost its digits; it stays so. Inside a History each has a
+        leading time axis.
     """
 
     residual: Array = attrs.field(repr=brief)

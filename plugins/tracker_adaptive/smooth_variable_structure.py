@@ -157,11 +157,12 @@ class SmoothVariableStructure:
         D = factor(S - symmetric_product(A, A))
         kept, noise = L - product(K, A), product(K, D)
         cov = symmetric_product(kept, kept) + symmetric_product(noise, noise)
-        for i in range(m):  # of noise so small beside H P H' that rounding is left of it
-            nis = where(less(D[i, i] * D[i, i], LEAST * S[i, i]), math.nan, nis)
+        sound: Any = 0.0
+        for i in range(m):  # of noise so small beside H P H' only rounding is left
+            sound = where(less(D[i, i] * D[i, i], LEAST * S[i, i]), math.nan, sound)
         for i in range(len(mean)):
-            nis = where(less(absolute(mean[i]) + cov[i, i], math.inf), nis, math.nan)
-        loglik = where(isnan(nis), math.nan, loglik)
+            sound = where(less(absolute(mean[i]) + cov[i, i], math.inf), sound, math.nan)
+        mean, nis, loglik = mean + sound, nis + sound, loglik + sound
         left = np.asarray(where(missing, state.left[:m], left))
         told = Innovation(v, seen.S, nis, loglik, count, finite(nis))
         after = Gaussian.trusted(mean, cov)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
 import numpy as np
 
 from tracker.algebra.gaussian import conditioned
+from tracker.models import isnan, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
 from tracker_kalman.inner import conditioning_filter, names
@@ -76,7 +78,9 @@ class SchmidtFilter:
         # With K = [K_x; 0] the covariance P - K C' - C K' + K S K', C = P H', is that of the optimal
         # update in all blocks but the one among what is considered, which stays.
         mean, cov = best.mean.copy(), best.cov.copy()
-        mean[places] = state.mean[places]
+        lost = isnan(best.mean[0])  # such a lane is, and stays, not ok
+        for place in places:
+            mean[place] = where(lost, math.nan, state.mean[place])
         block = places[:, None], places
         cov[block] = state.cov[block]
         return Gaussian.trusted(mean, cov), innovation

@@ -150,3 +150,52 @@ def test_other_forms_go_where_the_default_cannot(variance, batch, compiled, monk
             found = history.filtered.cov[0, [0, 1], [0, 1]]
             np.testing.assert_allclose(found, 1e-6, rtol=1e-6, err_msg=name)
     assert told == {"ekf1": False, "ekf1_joseph": True, "square_root": True, "information": True}
+
+
+TAKEN = ["kf", "ekf1", "ekf2", "iekf", "iplf", "ukf", "ukf_general", "ckf", "huber", "student_t", "gaussian_sum",
+         "imm", "strong_tracking", "variational_bayes", "smooth_variable_structure",
+         "schmidt(considered=['vx'])", "schmidt(considered=['x'])"]  # fmt: skip
+
+
+def losing(rule, lanes=5):
+    """A record of which the first update takes all digits in lane 1, and what a filter makes of it."""
+    sensor = tk.sensors.make("position", sigma=1e-3)
+    motion = tk.motions.make("constant_velocity", density=0.1)
+    variance = np.where(np.arange(lanes) == 1, 1e18, 1.0)
+    cov = np.eye(4)[..., None] * np.stack([variance, variance, *np.ones((2, lanes))])[:, None]
+    z = np.random.default_rng(3).normal(0.0, 1.0, (6, 2, lanes))
+    z[3, 0] = np.nan
+    est = tk.estimator(rule, motion=motion, sensor=sensor)
+    return est, tk.Record(np.arange(6.0), z), tk.Gaussian(np.zeros((4, lanes)), cov)
+
+
+@pytest.mark.parametrize("compiled", ["off", "on"])
+@pytest.mark.parametrize("name", TAKEN)
+def test_a_lane_that_has_lost_its_digits_is_never_ok_again(name, compiled, monkeypatch):
+    monkeypatch.setenv("TRACKER_COMPILE", compiled)
+    rule, _, options = name.partition("(")
+    if options:
+        rule = tk.filters.make(rule, considered=[options.split("'")[1]])
+    est, record, prior = losing(rule)
+    history = tk.filter(est, record, prior)
+    ok = history.innovation.ok
+    assert ok[:, [0, 2, 3, 4]].all()
+    assert not ok[:, 1].any(), "an estimate is trusted that was not to be"
+    assert np.isnan(history.filtered.mean[:, :, 1]).any(axis=1).all()
+    assert np.isnan(history.innovation.nis[:, 1]).all()
+    alone = tk.filter(est, tk.Record(record.t, record.z[..., [0, 2, 3, 4]]), prior[[0, 2, 3, 4]])
+    np.testing.assert_array_equal(
+        history.filtered.mean[..., [0, 2, 3, 4]], alone.filtered.mean, "neighbours were harmed"
+    )
+
+
+@pytest.mark.parametrize("compiled", ["off", "on"])
+def test_nor_is_one_run_on_line(compiled, monkeypatch):
+    monkeypatch.setenv("TRACKER_COMPILE", compiled)
+    est, record, prior = losing("ekf1")
+    for lane in (0, 1):
+        state = prior[lane]
+        for row in record.z[..., lane]:
+            state, told = est.step(state, row, 1.0)
+            assert bool(told.ok) is (lane == 0)
+            assert bool(np.isnan(state.mean).all()) is (lane == 1)

@@ -249,8 +249,9 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     ``mean + W' y`` and ``cov - W' W``, symmetric by construction. The subtraction cancels all digits
     when a measurement is some 1e15 times better than the prior (``H P H' / R``), or has no noise at
     all: where less than `tracker.algebra.lanes.LEAST` of a variance is left, what is left is
-    rounding, and nis and loglik are NaN, so that ``ok`` is False. Use the filter "ekf1_joseph" or
-    "square_root" for such problems. One that finds its covariance by itself gives None for cov.
+    rounding, and mean, nis and loglik are NaN: ``ok`` is False, then and ever after. Use the filter
+    "ekf1_joseph" or "square_root" for such problems. One that finds its covariance by itself gives
+    None for cov.
 
     Shapes:
         mean ``(n, *batch)``; cov ``(n, n, *batch)`` or None; v ``(m, *batch)``; S ``(m, m, *batch)``;

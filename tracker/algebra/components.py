@@ -212,12 +212,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     ahead = _forward(rows, [list(cross[:, k]) for k in range(m)])
     column = [[w[i] for w in ahead] for i in range(n)]
     over = [[plain(w * r) for w, r in zip(column[i], inverse, strict=True)] for i in range(n)]
-    new = _vector(mean[i] + _dot(column[i], scaled) for i in range(n))
-    total: Any = 0.0
-    for e in new:
-        total = total + e
-    # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
-    nis = where(less(absolute(total), math.inf), _dot(y, scaled), math.nan)
+    new = [mean[i] + _dot(column[i], scaled) for i in range(n)]
     updated = None
     if cov is not None:
         updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(over[i], column[j]))
@@ -228,9 +223,16 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
             for before, after in pairs
             if after is not before
         ]
-        nis = where(less(_least(margins), 0.0), math.nan, nis) if margins else nis
+        if margins:
+            lost = less(_least(margins), 0.0)
+            new = [where(lost, math.nan, e) for e in new]
+    total: Any = 0.0
+    for e in new:
+        total = total + e
+    # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
+    nis = where(less(absolute(total), math.inf), _dot(y, scaled), math.nan)
     loglik = -0.5 * (nis + (logarithm + log(determinant)) + LOG_TAU * count)
-    return new, updated, nis, loglik, count
+    return _vector(new), updated, nis, loglik, count
 
 
 def _least(values: list[Any]) -> Any:

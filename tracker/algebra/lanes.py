@@ -232,12 +232,12 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
         nis = nis + u * u
         if cov is not None:
             cov = np.subtract(cov, np.multiply(w[:, None], w, outer), smaller)
-    nis += 0.0 * np.add.reduce(mean, axis=0)  # NaN in a lane whose mean is not finite
     if cov is not None:
         lost = cov.diagonal() < LEAST * before.diagonal()
         if np.count_nonzero(lost):
             lost &= before.diagonal() >= 0.0  # a negative one was lost before
-            nis = np.where(lost.any(axis=-1), math.nan, nis)
+            mean = np.where(lost.any(axis=-1), math.nan, mean)
+    nis += 0.0 * np.add.reduce(mean, axis=0)  # NaN in a lane whose mean is not finite
     count = np.add.reduce(seen, axis=0) if masked else np.full(nis.shape, float(m))
     loglik = -0.5 * (nis + (logarithm + np.log(determinant)) + LOG_TAU * count)
     return mean, cov, nis, loglik, count

@@ -119,7 +119,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     # Lists: for few entries they are searched faster than arrays; mostly the extremes tell enough.
     after, before = updated.diagonal().tolist(), cov.diagonal().tolist()
     if min(after) < LEAST * max(before) and _lost(after, before):
-        nis = loglik = math.nan
+        mean, nis, loglik = np.full_like(mean, math.nan), math.nan, math.nan
     return mean, updated, nis, loglik, float(len(v))
 
 
