@@ -17,13 +17,12 @@ from tracker.algebra import (
     symmetric_product,
     transpose,
 )
-from tracker.algebra.gaussian import conditioned
 from tracker.errors import DomainError, wording
 from tracker.models import isnan, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
 from tracker_kalman.indefinite import raised
-from tracker_kalman.sigma_point import SigmaPointFilter, check_floor, checked, through_sensor
+from tracker_kalman.sigma_point import SigmaPointFilter, check_floor, through_sensor, updated
 from tracker_kalman.sigma_points import PointSet, Scaled, point_set
 
 
@@ -113,8 +112,7 @@ class PosteriorLinearisationFilter:
             fitted = Projection(
                 seen.mean + apply(A, back), symmetric_product(AP, A) + noise, transpose(AP)
             )
-            result = conditioned(state, sensor, z, fitted)
-            after, last = checked(*result, seen.rule, self.floor)
+            after, last = updated(state, sensor, z, fitted, seen.rule, self.floor)
         lost = isnan(last.nis)
         nis, loglik = (
             where(lost, last.nis, innovation.nis),

@@ -12,6 +12,7 @@ import attrs
 import numpy as np
 
 from tracker.algebra import (
+    condition,
     factor,
     finite,
     product,
@@ -265,8 +266,7 @@ class SigmaPointFilter:
     ) -> tuple[Gaussian, Innovation]:
         """Condition on ``z``; components that are NaN were not measured."""
         seen = self.project(state, sensor, pose) if projection is None else projection
-        after, innovation = conditioned(state.moments(), sensor, z, seen)
-        return checked(after, innovation, self._rule(state, sensor), self.floor)
+        return updated(state.moments(), sensor, z, seen, self._rule(state, sensor), self.floor)
 
     # ---------------------------------------------------------------------------- inside
     @property
@@ -314,14 +314,28 @@ def sound(cov: Any, rule: SigmaPoints, floor: float | None) -> Any:
     return semidefinite(cov, rule.rounding) if floor is None else raised(cov, floor)
 
 
-def checked(
-    after: Gaussian, innovation: Innovation, rule: SigmaPoints | None, floor: float | None
+def updated(
+    state: Gaussian,
+    sensor: SensorModel,
+    z: Any,
+    seen: Projection,
+    rule: SigmaPoints | None,
+    floor: float | None,
 ) -> tuple[Gaussian, Innovation]:
-    """An update whose covariance is sound, or NaN and not ok; without a rule it is."""
+    """`conditioned`, of moments from points: a covariance that comes out indefinite is raised or refused.
+
+    ``rule`` is None if the measurement was seen exactly.
+    """
+    after, innovation = conditioned(state, sensor, z, seen)
     if rule is None or not rule.negative:
         return after, innovation
     cov = sound(after.cov, rule, floor)
-    mean, nis, loglik = unless_refused(cov, after.mean, innovation.nis, innovation.loglik)
+    if floor is None:
+        mean, nis, loglik = unless_refused(cov, after.mean, innovation.nis, innovation.loglik)
+    else:  # a subtraction that left no variance is no reason to give up: it has been raised
+        mean, _, nis, loglik, _ = condition(
+            state.mean, None, innovation.residual, seen.S, seen.cross
+        )
     told = attrs.evolve(innovation, nis=nis, loglik=loglik, ok=finite(nis))
     return Gaussian.trusted(mean, cov), told
 

@@ -381,6 +381,36 @@ def test_with_a_floor_that_lane_goes_on(rule):
     np.testing.assert_allclose(ahead.cov[..., [0, 2]], plain.cov[..., [0, 2]], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "rule", [unscented_general(floor=1e-6), PosteriorLinearisationFilter(2, general(), 1e-6)]
+)
+def test_with_a_floor_every_lane_goes_on(rule, monkeypatch):
+    """4,000 priors of all widths, of which the update leaves hundreds with an indefinite covariance."""
+    rng, lanes, sensor = np.random.default_rng(0), 4000, squares(0.3)
+    var = 10 ** rng.uniform(-2, 1, (4, lanes))
+    mean = rng.normal(0, 1.5, (4, lanes))
+    state = Gaussian(mean, var * np.eye(4)[:, :, None])
+    x = mean + np.sqrt(var) * rng.normal(size=(4, lanes))
+    z = sensor.h(x) + 0.3 * rng.normal(size=(1, lanes))
+    with np.errstate(all="ignore"):
+        refused = ~attrs.evolve(rule, floor=None).update(state, sensor, z)[1].ok
+        after, told = rule.update(state, sensor, z)
+    assert refused.sum() > 100
+    assert told.ok.all()
+    assert np.isfinite(after.mean).all()
+    assert np.isfinite(told.loglik).all()
+    assert (np.linalg.eigvalsh(np.moveaxis(after.cov, -1, 0))[:, 0] > 0.0).all()
+    for lane in np.flatnonzero(refused)[:20]:  # and a single run likewise
+        alone, heard = rule.update(state[lane], sensor, z[:, lane])
+        assert heard.ok
+        np.testing.assert_allclose(alone.mean, after.mean[:, lane], rtol=1e-9, atol=1e-9)
+    pytest.importorskip("llvmlite")
+    monkeypatch.setenv("TRACKER_COMPILE", "require")
+    est = tk.estimator(rule, motion=growing(), sensor=sensor)
+    fused = tk.filter(est, tk.Record([0.0], z[None]), state, start=0.0)
+    assert fused.innovation.ok.all()
+
+
 def test_positive_weights_never_need_a_floor():
     for points in (Scaled(), Symmetric(), SphericalSimplex(0.3), GaussHermite(3)):
         rule, state = SigmaPointFilter(points), lanes_of_three()
