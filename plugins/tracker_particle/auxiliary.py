@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -9,8 +10,8 @@ import attrs
 import numpy as np
 
 from tracker.protocols import MotionModel, SensorModel
-from tracker.types import Array, Gaussian, Innovation, Projection, brief
-from tracker_particle import alone, draws
+from tracker.types import Array, Gaussian, History, Innovation, Projection, Record, brief
+from tracker_particle import alone, draws, records, twofold
 from tracker_particle.belief import Particles, spread
 from tracker_particle.likelihood import projected, seen, surprise, weighed
 from tracker_particle.parameters import a_count
@@ -150,6 +151,52 @@ class AuxiliaryFilter:
         )
         told = seen(before.points, sensor, z, pose)
         return after, surprise(before.weights, told, projection, sensor, z, loglik)
+
+    def why_not_whole(self, motion: MotionModel, sensors: Sequence[SensorModel]) -> str:
+        """In words, why records are filtered step by step with these models, or ''."""
+        if self.resampling != SYSTEMATIC:
+            return f"parents are chosen by the {self.resampling} scheme"
+        passes = functools.partial(_passes, self.particles)
+        return records.why_not(passes, motion, sensors)
+
+    def whole(
+        self,
+        state: Particles | Offspring,
+        motion: MotionModel,
+        sensors: Sequence[SensorModel],
+        record: Record,
+        start: float | None,
+        history: History,
+    ) -> bool:
+        """Fill in the history of a record, if that can be done at once: whether it was done."""
+        if isinstance(state, Offspring):  # it has been predicted already
+            return False
+        rule = records.Rule(
+            self.predict, self.update, _as_it_is, 0.0, self.resampling,
+            functools.partial(_passes, len(state.log_weights)), records.PARTICLES,
+        )  # fmt: skip
+        return records.filtered(rule, state, motion, sensors, record, start, history)
+
+
+def _as_it_is(state: Particles) -> Particles:
+    return state
+
+
+def _passes(
+    count: int, motion: MotionModel, sensors: Sequence[SensorModel], dt: Array, inputs: int
+) -> records.Passes | str:
+    roots = records.roots(motion, dt)
+    if isinstance(roots, str):
+        return roots
+    n, columns = roots[0].shape[1:]
+    ahead = twofold.moving(motion, columns, inputs)
+    weighs = [twofold.weighing(sensor, n) for sensor in sensors]
+    why = records.passes_of(motion, sensors, ahead, weighs)
+    if why:
+        return why
+    counted = [(done, [*parameters, float(count), 0.0]) for done, parameters in weighs]
+    noise = roots[0].reshape(-1, n * columns), roots[1]
+    return records.Passes(ahead, counted, noise, columns, rows=2 * n + 1, pace=2)
 
 
 def _children(state: Particles | Offspring) -> Particles:

@@ -116,6 +116,17 @@ class Rows:
 
         ``in_place``: rows are written where others of the same place are read.
         """
+        return compiled(*self.text(constants, sums, conclude, in_place=in_place))
+
+    def text(
+        self,
+        constants: list[Any],
+        sums: list[Any],
+        conclude: Callable[..., list[Any]],
+        *,
+        in_place: bool = False,
+    ) -> tuple[str, int]:
+        """The same, not yet compiled, and how many numbers it leaves."""
         self.program.state("constants", len(constants))
         self.program.set("constants", constants)
         self.program.total("sums", sums)
@@ -136,9 +147,14 @@ class Rows:
         declared = dict.fromkeys(line for line in lines if line.startswith("declare "))
         defined = [line for line in lines if not line.startswith("declare ")]
         entry = machine.entry(self.program, len(constants), len(sums), len(found))
-        made = objects.compiled("\n".join([*declared, *defined, *entry]) + "\n")
-        call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 6)(made.address)
-        return Pass(call, made, len(found))
+        return "\n".join([*declared, *defined, *entry]) + "\n", len(found)
+
+
+def compiled(text: str, size: int) -> Pass:
+    """The pass of an LLVM text that leaves so many numbers."""
+    made = objects.compiled(text)
+    call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 6)(made.address)
+    return Pass(call, made, size)
 
 
 def second_moments(weight: Any, d: list[Any]) -> list[Any]:
@@ -194,7 +210,7 @@ def _ahead(key: _Ahead) -> Pass:
     d = [a - c for a, c in zip(ahead, centre, strict=True)]
 
     def conclude(centre: list[Any], sums: list[Any], _given: list[Any]) -> list[Any]:
-        return _gaussian(centre, sums, 1.0)
+        return gaussian(centre, sums, 1.0)
 
     return rows.finished(centre, second_moments(weight, d), conclude)
 
@@ -218,8 +234,8 @@ def _weigh(key: _Weigh) -> Pass:
         raise TraceError("the noise of the measurement differs from particle to particle")
     h = sensor.h(x, pose)
     none = vector([where(isnan(a), a, 0.0) for a in z])
-    peak = _log_density(none, R, about)
-    density = _log_density(sensor.residual(z, h), R, x)
+    peak = log_density(none, R, about)
+    density = log_density(sensor.residual(z, h), R, x)
     for a in range(m):  # no answer is no measurement only where nothing was measured
         density = density + where(isnan(z[a]), 0.0, where(isnan(h[a]), math.nan, 0.0))
     after = before + where(isnan(density), -math.inf, density)
@@ -247,7 +263,7 @@ def _weigh(key: _Weigh) -> Pass:
         centre = given[len(given) - n :]
         nis = conditioned(vector(v), S, vector(centre))[2]
         found = [*v, *S.ravel(), nis, loglik, total, total * total / squares]
-        return [*_gaussian(centre, rest, total), *found]
+        return [*gaussian(centre, rest, total), *found]
 
     return rows.finished(
         [peak, *(R[i, j] for i, j in upper(m))],
@@ -263,7 +279,7 @@ def conditioned(v: Any, S: Any, x: Any) -> tuple[Any, ...]:
     return condition(x, still, v, S, unrelated)
 
 
-def _log_density(v: Any, R: Any, x: Any) -> Any:
+def log_density(v: Any, R: Any, x: Any) -> Any:
     """That of the measured components."""
     return conditioned(v, R, x)[3]
 
@@ -282,7 +298,7 @@ def mean_and_covariance(
     return [c + s for c, s in zip(centre, shift, strict=True)], cov
 
 
-def _gaussian(centre: list[Any], sums: list[Any], total: Any) -> list[Any]:
+def gaussian(centre: list[Any], sums: list[Any], total: Any) -> list[Any]:
     """Mean, covariance, and 1 if the sums had enough digits for it."""
     mean, cov = mean_and_covariance(centre, sums, total)
     n, good, at = len(mean), 1.0, len(mean)
@@ -471,7 +487,8 @@ _scratch = _Scratch()
 def laid_out(rows: Array, log_weights: Array, points: Any, weights: Any) -> None:
     """Write a cloud into rows ``(n, full)`` and ``(full,)``: what fills up is a copy, and weighs nothing."""
     count = len(log_weights)
-    points[:, :count], points[:, count:] = rows, rows[:, -1:]
+    n = len(rows)
+    points[:n, :count], points[:n, count:] = rows, rows[:, -1:]
     weights[:count], weights[count:] = log_weights, -math.inf
 
 
@@ -520,6 +537,7 @@ def weighing(sensor: Any, n: int, m: int, p: int) -> Any:
 
 
 def made_for(make: Callable[[Any, Any], Pass], model: Any, size: Any) -> Any:
+    """The pass that is made for a model, and its parameters, or in words why there is none."""
     try:
         known = _FOUND.setdefault(model, {})
     except TypeError:

@@ -15,7 +15,7 @@ from tracker_particle import draws
 
 _PLACES = {
     "x": "points", "moved": "points", "weight": "weights", "a": "drawn", "b": "drawn",
-    "given": "given",
+    "given": "given", "log": "drawn", "real": "drawn",
 }  # fmt: skip
 """Where the rows of a step lie, by what they are called; those of other names are written to ``out``."""
 
@@ -298,10 +298,110 @@ def choosing() -> str:
     return text + "\n".join(lines) + "\n"
 
 
+# ----------------------------------------------------------------------------------- two stages
+def twofold(first: str, second: str, n: int, m: int, count: int) -> str:
+    """LLVM text of a pass that weighs in two stages, with a choice of ancestors between them.
+
+    Its points are centres, the rows ``n``; a row for the likelihood at them; and what moves them, ``n``
+    rows: then the rows of points take the place of centres. Scratch holds ``n + 5`` rows. ``count`` is
+    the place of the number of particles in what it is given; the evidence of the first stage goes behind it.
+    The first pass leaves a residual, its covariance, nis, evidence, sum of weights, and how much was
+    measured; the second what passes leave of moments, evidence, and sum of weights.
+    """
+    v = f"<{WIDTH} x double>"
+    parts = [
+        text.replace("@step(", f"@{name}.step(")
+        .replace("@last(", f"@{name}.last(")
+        .replace("@weigh(", f"@{name}.weigh(")
+        .replace("define void @run(", f"define internal void @{name}(")
+        for name, text in (("first", first), ("second", second), ("choose", choosing()))
+    ]
+    text_lines = [line for text in parts for line in text.splitlines()]
+    declared = dict.fromkeys(line for line in text_lines if line.startswith("declare "))
+    defined = [line for line in text_lines if not line.startswith("declare ")]
+    declared["declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"] = None
+    moments, told = n + n * n + 1, m + m * m + 1
+    pointers = ", ".join(f"ptr %{name}" for name in _MATRICES)
+    lines = [
+        f"define void @run(i64 %N, i64 %k1, i64 %k2, i64 %word, {pointers}) {{",
+        "entry:",
+        f"  %one = alloca [{told + 3} x double], align 64",
+        f"  %two = alloca [{moments + 2} x double], align 64",
+        f"  %centres = mul i64 %N, {n + 1}",
+        "  %moved = getelementptr inbounds double, ptr %points, i64 %centres",
+        "  %scratch = getelementptr inbounds double, ptr %drawn, i64 %centres",
+        (
+            "  call void @first(i64 %N, i64 0, i64 0, i64 0, ptr %points, ptr %weights, ptr null, "
+            "ptr %given, ptr %out, ptr %one)"
+        ),
+    ]
+
+    def load(name: str, base: str, index: int) -> None:
+        lines.append(f"  %{name}.at = getelementptr inbounds double, ptr %{base}, i64 {index}")
+        lines.append(f"  %{name} = load double, ptr %{name}.at, align 8")
+
+    load("evidence", "one", told)
+    load("sum", "one", told + 1)
+    load("measured", "one", told + 2)
+    load("many", "given", count)
+    lines += [
+        f"  %evidence.to = getelementptr inbounds double, ptr %given, i64 {count + 1}",
+        "  store double %evidence, ptr %evidence.to, align 8",
+        "  %something = fcmp one double %measured, 0.0",
+        "  br i1 %something, label %level, label %weigh",
+        "level:",
+        f"  %single = insertelement {v} poison, double %evidence, i32 0",
+        f"  %all = shufflevector {v} %single, {v} poison, <{WIDTH} x i32> zeroinitializer",
+        "  br label %less",
+        "less:",
+        "  %i = phi i64 [0, %level], [%i.next, %less]",
+        "  %i.at = getelementptr inbounds double, ptr %out, i64 %i",
+        f"  %i.now = load {v}, ptr %i.at, align 8",
+        f"  %i.less = fsub {v} %i.now, %all",
+        f"  store {v} %i.less, ptr %i.at, align 8",
+        f"  %i.next = add i64 %i, {WIDTH}",
+        "  %i.end = icmp sge i64 %i.next, %N",
+        "  br i1 %i.end, label %choose, label %less",
+        "choose:",
+        "  %choices = fptosi double %many to i64",
+        f"  %word.chosen = add i64 %word, {draws.FIRST_STAGE << 8}",
+        (
+            f"  call void @choose(i64 %choices, i64 %N, i64 {n + 1}, i64 %k1, i64 %k2, i64 %word.chosen, "
+            "ptr %out, ptr %points, ptr %scratch, ptr %drawn)"
+        ),
+        "  br label %weigh",
+        "weigh:",
+        "  %from = phi ptr [%points, %entry], [%drawn, %choose]",
+        "  %count = fptosi double %many to i64",
+        "  %bytes = mul i64 %count, 8",  # what fills up is minus infinity there
+        "  call void @llvm.memset.p0.i64(ptr %out, i8 0, i64 %bytes, i1 false)",
+        (
+            "  call void @second(i64 %N, i64 0, i64 0, i64 0, ptr %from, ptr %moved, ptr %out, "
+            "ptr %given, ptr %points, ptr %two)"
+        ),
+        f"  call void @llvm.memcpy.p0.p0.i64(ptr %left, ptr %two, i64 {8 * moments}, i1 false)",
+        f"  %left.told = getelementptr inbounds double, ptr %left, i64 {moments}",
+        f"  call void @llvm.memcpy.p0.p0.i64(ptr %left.told, ptr %one, i64 {8 * told}, i1 false)",
+    ]
+    load("gained", "two", moments)
+    load("sum.two", "two", moments + 1)
+    lines += [
+        "  %loglik = fadd double %evidence, %gained",
+        "  %smaller = fcmp olt double %sum, %sum.two",
+        "  %total = select i1 %smaller, double %sum, double %sum.two",
+    ]
+    for i, value in enumerate(("loglik", "total", "many")):
+        lines.append(
+            f"  %to.{value} = getelementptr inbounds double, ptr %left.told, i64 {told + i}"
+        )
+        lines.append(f"  store double %{value}, ptr %to.{value}, align 8")
+    return "\n".join([*declared, *defined, *lines, "  ret void", "}"]) + "\n"
+
+
 # -------------------------------------------------------------------------------------- steps
 NUMBERS = {
     "first": "i64", "last": "i64", "count": "i64", "N": "i64", "n": "i64", "more": "i64",
-    "k1": "i64", "k2": "i64", "step": "i64",
+    "k1": "i64", "k2": "i64", "step": "i64", "pace": "i64",
     "points": "ptr", "points.spare": "ptr", "points.chosen": "ptr",
     "weights": "ptr", "weights.spare": "ptr", "weights.even": "ptr", "scratch": "ptr",
     "ahead": "ptr", "ahead.given": "ptr", "ahead.inputs": "i64", "ahead.left": "ptr",
@@ -312,7 +412,8 @@ NUMBERS = {
 """What the loop over steps is given, each of 8 bytes, in this order; it writes back where it stopped.
 
 ``more`` are numbers that belong to a cloud as a whole, beside its rows: a pass leaves the mean, these, the
-covariance, and 1 if digits were enough; and its row of numbers ends with a centre and these.
+covariance, and 1 if digits were enough; and its row of numbers ends with a centre and these. ``pace`` is by how
+much a step of the record moves the ``step`` that draws belong to.
 """
 
 SENSOR = ("weigh", "given", "inputs", "found")
@@ -365,7 +466,8 @@ def stepping() -> str:
         "  %mid = phi ptr [%centre, %entry], [%found, %next]",
         "  %mid.apart = phi i64 [%apart, %entry], [1, %next]",
         "  %since = sub i64 %k, %first",
-        "  %now = add i64 %step, %since",
+        "  %gone = mul i64 %since, %pace",
+        "  %now = add i64 %step, %gone",
         "  %word = shl i64 %now, 16",
         "  %end = icmp sge i64 %k, %last",
         "  br i1 %end, label %exit, label %begin",
@@ -427,10 +529,13 @@ def stepping() -> str:
     given("seen", "sensor.given", "sensor.inputs", "going", "1")
     lines.append("  %weigh.k = mul i64 %k, %weigh.found")
     at("found", "weigh.left", "%weigh.k")
-    lines.append(
-        "  call void %sensor.weigh(i64 %N, i64 0, i64 0, i64 0, ptr %p.other, ptr %w.own, ptr null, "
-        "ptr %seen, ptr %w.other, ptr %found)"
-    )
+    lines += [
+        f"  %word.weigh = add i64 %word, {draws.word(1, 0)}",
+        (
+            "  call void %sensor.weigh(i64 %N, i64 %k1, i64 %k2, i64 %word.weigh, ptr %p.other, "
+            "ptr %w.own, ptr %scratch, ptr %seen, ptr %w.other, ptr %found)"
+        ),
+    ]
     load("measured.k", "measured", "%k", "i64", "i64")
     at("loglik.at", "found", "%sensor.found")
     lines += [

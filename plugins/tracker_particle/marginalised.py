@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 
 from tracker.algebra import lanes
-from tracker.errors import CapabilityError, DomainError, wording
+from tracker.errors import CapabilityError, DomainError, TrackerError, wording
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import (
@@ -281,7 +281,10 @@ class MarginalisedFilter:
     def _passes(
         self, motion: MotionModel, sensors: Sequence[SensorModel], dt: Array, inputs: int
     ) -> records.Passes | str:
-        linear, n = _places(self.linear, motion.space), motion.space.size
+        try:
+            linear, n = _places(self.linear, motion.space), motion.space.size
+        except TrackerError as error:  # `begin` says so, too
+            return str(error)
         if not linear:
             return "no component is linear"
         noise, place = records.by_time_step(dt, motion.Q, n)

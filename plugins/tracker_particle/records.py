@@ -37,7 +37,8 @@ class Passes:
 
     ``noise`` are the numbers that a prediction is given of the process noise: for every time step
     that there is, ``(F, c)``, and which step of the record has which, ``(T, *batch)``. ``columns``
-    are the normals that a particle draws, ``more`` the numbers that belong to a cloud as a whole.
+    are the normals that a particle draws, ``more`` the numbers that belong to a cloud as a whole;
+    passes need room for ``rows`` rows and take ``pace`` steps of a belief.
     """
 
     ahead: tuple[kernels.Pass, list[float]]
@@ -45,6 +46,8 @@ class Passes:
     noise: tuple[Array, Any]
     columns: int
     more: int = 0
+    rows: int = 1
+    pace: int = 1
 
 
 @attrs.frozen(eq=False)
@@ -135,16 +138,16 @@ def usual_passes(
     motion: MotionModel, sensors: Sequence[SensorModel], dt: Array, inputs: int
 ) -> Passes | str:
     """Those of particles alone."""
-    roots = _roots(motion, dt)
-    if roots is None:
-        return f"the columns of the noise of motion {name_of(motion)!r} come and go"
-    n, columns = roots[0].shape[1:]
+    found = roots(motion, dt)
+    if isinstance(found, str):
+        return found
+    n, columns = found[0].shape[1:]
     ahead = kernels.moving(motion, n, columns, inputs)
     weighs = [kernels.weighing(s, n, s.space.size, s.pose_space.size) for s in sensors]
     why = passes_of(motion, sensors, ahead, weighs)
     if why:
         return why
-    return Passes(ahead, weighs, (roots[0].reshape(-1, n * columns), roots[1]), columns)
+    return Passes(ahead, weighs, (found[0].reshape(-1, n * columns), found[1]), columns)
 
 
 def _later(
@@ -173,6 +176,20 @@ def by_time_step(dt: Array, compute: Callable[[Array, Array], Array], n: int) ->
     few, place = np.unique(dt, return_inverse=True)
     found = compute(np.zeros((n, len(few))), few)
     return np.broadcast_to(found, (*found.shape[:-1], len(few))), place.reshape(dt.shape)
+
+
+def roots(motion: MotionModel, dt: Array) -> tuple[Array, Any] | str:
+    """Roots of the noise for every time step that there is, ``(F, n, k)``, and which step has which.
+
+    They are those of `propagation.root`: which columns there are decides about the draws. In words why
+    not if columns come and go.
+    """
+    full, place = by_time_step(dt, lambda x, few: factored(motion.Q(x, few)), motion.space.size)
+    there = (full != 0.0).any(axis=0)
+    some, columns = there.any(axis=0), there.any(axis=1)
+    if (there[:, some] != columns[:, None]).any():
+        return f"the columns of the noise of motion {name_of(motion)!r} come and go"
+    return np.ascontiguousarray(np.moveaxis(full[:, columns], 2, 0)), place
 
 
 # ------------------------------------------------------------------------------------- inside
@@ -239,8 +256,9 @@ class _Loop:
             looks.append(look)
         sizes = [done.size for done, _ in (passes.ahead, *passes.weighs)]
         going, found = np.empty((steps, sizes[0])), np.empty((steps, max(sizes[1:])))
-        clouds = [np.empty((n, full)) for _ in range(3)] + [np.empty(full) for _ in range(2)]
-        scratch = np.empty(max(kernels.drawing(passes.columns), kernels.CHOOSING) * full)
+        room = max(n, passes.rows)
+        clouds = [np.empty((room, full)) for _ in range(3)] + [np.empty(full) for _ in range(2)]
+        scratch = np.empty(max(kernels.drawing(passes.columns), kernels.CHOOSING + n + 1) * full)
         begins = n + more + n * n + 1
         table = np.array([
             [done.machine.address, _address(look), look.shape[1], begins + m + m * m + 1]
@@ -256,7 +274,7 @@ class _Loop:
         )  # fmt: skip
         choose = kernels.choosing().machine.address if rule.scheme == SYSTEMATIC else 0
         made.put(
-            last=steps, count=count, N=full, n=n, more=more, scratch=_address(scratch),
+            last=steps, count=count, N=full, n=n, more=more, pace=passes.pace, scratch=_address(scratch),
             ahead=passes.ahead[0].machine.address, sensors=_address(table), which=_address(own),
             measured=_address(measured), choose=choose, enough=least_size(rule.threshold, count),
             least=kernels.TINY,
@@ -367,7 +385,7 @@ class _Loop:
         found = self.found[k - 1].copy()
         return self.rule.form.made(
             state,
-            points[:, :count].copy(),
+            points[:n, :count].copy(),
             weights[:count].copy(),
             self.got("step"),
             tuple(self.sensors[self.which[k - 1]].state.circular),
@@ -405,17 +423,3 @@ def _size(state: Any) -> float:
 def _of(values: Array, at: tuple[int, ...]) -> Array:
     """One lane of inputs or poses, which may be shared."""
     return values if values.ndim == 2 else values[(slice(None), slice(None), *at)]
-
-
-def _roots(motion: MotionModel, dt: Array) -> tuple[Array, Any] | None:
-    """Roots of the noise for every time step that there is, ``(F, n, k)``, and which step has which.
-
-    They are those of `propagation.root`: which columns there are decides about the draws. None if
-    columns come and go.
-    """
-    full, place = by_time_step(dt, lambda x, few: factored(motion.Q(x, few)), motion.space.size)
-    there = (full != 0.0).any(axis=0)
-    some, columns = there.any(axis=0), there.any(axis=1)
-    if (there[:, some] != columns[:, None]).any():
-        return None
-    return np.ascontiguousarray(np.moveaxis(full[:, columns], 2, 0)), place
