@@ -73,7 +73,8 @@ class IteratedExtendedKalmanFilter:
             # mean - moved is the predicted mean, and NaN in a lane that has diverged
             mean, cov, told, _, seen_again = condition(mean - moved, state.cov, v, S, transpose(HP))
             # A sensor without an answer there must not pass for a measurement that is missing.
-            lost = where(isnan(told), math.nan, where(less(seen_again, count), math.nan, 0.0))
-            mean, nis, loglik = mean + lost, nis + lost, loglik + lost
+            blind = where(less(seen_again, count), math.nan, 0.0)
+            lost = where(isnan(told), math.nan, blind)
+            mean, cov, nis, loglik = mean + blind, cov + blind, nis + lost, loglik + lost
         innovation = attrs.evolve(innovation, nis=nis, loglik=loglik, ok=finite(nis))
         return Gaussian.trusted(mean, cov), innovation

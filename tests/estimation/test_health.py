@@ -313,6 +313,36 @@ def test_a_run_that_diverged_says_so():
     assert told[0].startswith("1 of 3 lanes diverged")
 
 
+@pytest.mark.parametrize("batch", [(), (3,), (3, 2)], ids=str)
+@pytest.mark.parametrize(
+    "rule", ["kf", "ekf1", "ukf", "strong_tracking", "smooth_variable_structure"]
+)
+def test_a_run_that_lost_its_digits_is_told_so_and_what_to_do(rule, batch):
+    z = np.random.default_rng(2).normal(0.0, 1.0, (6, 2, *batch))
+    vague = np.zeros(batch)
+    if batch:
+        vague[1] = 1.0
+    cov = np.einsum("ij,...->ij...", np.eye(4), np.where(vague, 1e20, 1.0) if batch else 1e20)
+    prior = tk.Gaussian(np.zeros((4, *batch)), cov)
+    est = tk.estimator(rule, motion=WALK, sensor=position(0.01))
+    told = tk.filter(est, tk.Record(np.arange(6.0), z), prior).warnings()
+    what = {(): "the run", (3,): "1 of 3 lanes", (3, 2): "2 of 6 lanes"}[batch]
+    assert told[0].startswith(f"{what} lost all digits: an update, first at step 0,")
+    assert "ekf1_joseph" in told[0]
+    assert not any("diverged" in words for words in told)
+
+
+def test_both_ways_of_getting_lost_are_told_apart():
+    record = tk.Record(np.arange(6.0), np.random.default_rng(2).normal(0.0, 1.0, (6, 2, 3)))
+    prior = tk.Gaussian(np.zeros((4, 3)), np.eye(4))
+    prior.mean[:, 1] = np.nan
+    prior = tk.Gaussian.trusted(prior.mean, prior.cov * np.array([1.0, 1.0, 1e20]))
+    est = tk.estimator("kf", motion=WALK, sensor=position(0.01))
+    told = tk.filter(est, record, prior).warnings()
+    assert told[0].startswith("1 of 3 lanes lost all digits")
+    assert told[1].startswith("1 of 3 lanes diverged")
+
+
 def test_a_history_made_by_hand_is_summed_up_as_far_as_it_goes():
     history = attrs.evolve(run_of(walking(30), runs=2), run=None)
     assert "unknown: no record" in history.summary()

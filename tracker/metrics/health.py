@@ -80,16 +80,7 @@ def observability_of(history: History) -> Observability | None:
 
 def warnings(history: History) -> list[str]:
     """What a person should be told before trusting a run; empty if nothing."""
-    out = []
-    ok = np.asarray(history.innovation.ok)
-    lost = ~ok.all(axis=0)
-    if lost.any():
-        what = f"{int(lost.sum())} of {lost.size} lanes" if lost.ndim else "the run"
-        first = int((~ok).reshape(len(ok), -1).any(axis=1).argmax())
-        out.append(
-            f"{what} diverged: no longer finite, first at step {first}. Look at the record and the "
-            "prior there, or use a filter that bears more nonlinearity."
-        )
+    out = _gone(history)
     nis, band = nis_of(history)
     word = band.verdict(nis)
     if word in {"overconfident", "underconfident"} and abs(nis - 1.0) > MATTERS:
@@ -114,6 +105,41 @@ def warnings(history: History) -> list[str]:
             f"{float(white.probability):.1g}): {hint}."
         )
     return out + _approximated(history) + blind_spots(observability_of(history))
+
+
+def _gone(history: History) -> list[str]:
+    """Lanes that are no longer ok: those that an update has rounded away, and those that diverged."""
+    ok = np.asarray(history.innovation.ok)
+    if ok.all():
+        return []
+    flat = ok.reshape(len(ok), -1)
+    lanes = np.flatnonzero(~flat.all(axis=0))
+    first = (~flat[:, lanes]).argmax(axis=0)
+
+    def finite(values: Any) -> Any:
+        whole = np.asarray(values).reshape(*flat.shape[:1], -1, flat.shape[1])
+        return np.isfinite(whole[first, :, lanes]).all(axis=1)
+
+    # A finite prediction and covariance, and an update that disowns its estimate: see `condition`.
+    before, after = history.predicted, history.filtered
+    rounded = finite(before.mean) & finite(before.cov) & finite(after.cov) & ~finite(after.mean)
+    out = []
+    for which, words in (
+        (
+            rounded,
+            "lost all digits: an update, first at step {}, left nothing but rounding of a variance. "
+            "Use filter 'ekf1_joseph' or 'square_root', or a prior that is not so vague beside R.",
+        ),
+        (
+            ~rounded,
+            "diverged: no longer finite, first at step {}. Look at the record and the prior there, or "
+            "use a filter that bears more nonlinearity.",
+        ),
+    ):
+        if which.any():
+            what = f"{int(which.sum())} of {flat.shape[1]} lanes" if ok.ndim > 1 else "the run"
+            out.append(f"{what} " + words.format(int(first[which].min())))
+    return out
 
 
 def _approximated(history: History) -> list[str]:
