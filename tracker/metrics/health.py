@@ -123,19 +123,16 @@ def _gone(history: History) -> list[str]:
     # A finite prediction and covariance, and an update that disowns its estimate: see `condition`.
     before, after = history.predicted, history.filtered
     rounded = finite(before.mean) & finite(before.cov) & finite(after.cov) & ~finite(after.mean)
+    digits = (
+        "lost all digits: an update, first at step {}, left nothing but rounding of a variance. Use "
+        "filter 'ekf1_joseph' or 'square_root', or a prior that is not so vague beside R."
+    )
+    diverged = (
+        "diverged: no longer finite, first at step {}. Look at the record and the prior there, or use "
+        "a filter that bears more nonlinearity."
+    )
     out = []
-    for which, words in (
-        (
-            rounded,
-            "lost all digits: an update, first at step {}, left nothing but rounding of a variance. "
-            "Use filter 'ekf1_joseph' or 'square_root', or a prior that is not so vague beside R.",
-        ),
-        (
-            ~rounded,
-            "diverged: no longer finite, first at step {}. Look at the record and the prior there, or "
-            "use a filter that bears more nonlinearity.",
-        ),
-    ):
+    for which, words in ((rounded, digits), (~rounded, diverged)):
         if which.any():
             what = f"{int(which.sum())} of {flat.shape[1]} lanes" if ok.ndim > 1 else "the run"
             out.append(f"{what} " + words.format(int(first[which].min())))
