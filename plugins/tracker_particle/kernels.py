@@ -456,7 +456,7 @@ def numbers(count: int) -> Any:
 @functools.lru_cache(maxsize=64)
 def even(count: int) -> Any:
     """Log weights of particles that weigh the same, in memory that nobody writes to."""
-    flat = np.full(filled(count), -math.inf)
+    flat: Any = np.full(filled(count), -math.inf)
     flat[:count] = -math.log(count)
     return (ctypes.c_char * flat.nbytes).from_buffer(flat)
 

@@ -202,7 +202,7 @@ def _stepping() -> tuple[Callable[[int], None], objects.Machine]:
 _PLACE = {name: i for i, name in enumerate(machine.NUMBERS)}
 
 
-def _address(array: Array) -> int:
+def _address(array: Any) -> int:
     return int(array.ctypes.data)
 
 
@@ -331,39 +331,37 @@ class _Loop:
         n = self.motion.space.size
         known = n + self.passes.more
         begins = known + n * n + 1
-        here: Any = (slice(None), slice(None), *at)
         for trajectory, source in ((history.predicted, self.going), (history.filtered, self.found)):
-            trajectory.mean[here] = source[:, :n]
-            trajectory.cov[(slice(None), *here)] = source[:, known : begins - 1].reshape(-1, n, n)
+            _of(trajectory.mean, 2, at)[:] = source[:, :n]
+            _of(trajectory.cov, 3, at)[:] = source[:, known : begins - 1].reshape(-1, n, n)
         out = history.innovation
         for i, sensor in enumerate(self.sensors):
             m = sensor.space.size
             mine: Any = slice(None) if len(self.sensors) == 1 else self.which == i
             found = self.found[mine, begins:]
-            out.residual[(mine, slice(m), *at)] = found[:, :m]
-            out.S[(mine, slice(m), slice(m), *at)] = found[:, m : m + m * m].reshape(-1, m, m)
-            nis, loglik = found[:, m + m * m], found[:, m + m * m + 1]
-            out.nis[(mine, *at)], out.loglik[(mine, *at)] = nis, loglik
-            out.ok[(mine, *at)] = np.isfinite(nis)
-        out.count[(slice(None), *at)] = self.measured
+            _of(out.residual, 2, at)[mine, :m] = found[:, :m]
+            _of(out.S, 3, at)[mine, :m, :m] = found[:, m : m + m * m].reshape(-1, m, m)
+            for values, number in ((out.nis, m + m * m), (out.loglik, m + m * m + 1)):
+                _of(values, 1, at)[mine] = found[:, number]
+            _of(out.ok, 1, at)[mine] = np.isfinite(found[:, m + m * m])
+        _of(out.count, 1, at)[:] = self.measured
 
     def _given(self, at: tuple[int, ...]) -> None:
         """Numbers of this lane."""
         record, rows = self.record, self.rows
-        times = self.times[(slice(None), *at)] if self.times.ndim > 1 else self.times
+        times = _of(self.times, 1, at)
         rows[:, 0], rows[:, 1] = times[1:] - times[:-1], times[:-1]
         if record.u is not None:
-            rows[:, 2 : 2 + record.u.shape[1]] = _of(record.u, at)
+            rows[:, 2 : 2 + record.u.shape[1]] = _of(record.u, 2, at)
         noise, place = self.passes.noise
-        own = place[(slice(None), *at)] if place.ndim > 1 else place
         end = rows.shape[1] - len(self.centre)
-        rows[:, end - noise.shape[1] : end] = noise[own]
-        z = record.z[(slice(None), slice(None), *at)]
+        rows[:, end - noise.shape[1] : end] = noise[_of(place, 1, at)]
+        z = _of(record.z, 2, at)
         for i, (sensor, look) in enumerate(zip(self.sensors, self.looks, strict=True)):
             m, p = sensor.space.size, sensor.pose_space.size
             look[:, :m] = z[:, :m]
             if p and record.pose is not None:
-                look[:, m : m + p] = _of(record.pose, at)[:, :p]
+                look[:, m : m + p] = _of(record.pose, 2, at)[:, :p]
             mine: Any = slice(None) if len(self.sensors) == 1 else self.which == i
             self.measured[mine] = np.count_nonzero(~np.isnan(look[mine, :m]), axis=1)
 
@@ -397,12 +395,12 @@ class _Loop:
     def _step(self, state: Any, k: int, at: tuple[int, ...]) -> Any:
         """One step of the filter's own methods, told as the passes tell it."""
         record, rows, n = self.record, self.rows, self.motion.space.size
-        u = None if record.u is None else _of(record.u, at)[k]
+        u = None if record.u is None else _of(record.u, 2, at)[k]
         predicted = self.rule.predict(state, self.motion, float(rows[k, 0]), u, float(rows[k, 1]))
         sensor = self.sensors[self.which[k]]
         m, p = sensor.space.size, sensor.pose_space.size
-        pose = _of(record.pose, at)[k, :p] if p and record.pose is not None else None
-        z = record.z[(k, slice(m), *at)]
+        pose = _of(record.pose, 2, at)[k, :p] if p and record.pose is not None else None
+        z = _of(record.z, 2, at)[k, :m]
         after, innovation = self.rule.update(predicted, sensor, z, pose)
         known = n + self.passes.more
         for row, belief in ((self.going[k], predicted), (self.found[k], after)):
@@ -420,6 +418,7 @@ def _size(state: Any) -> float:
     return float(effective_sample_size(state.weights) if own is None else own)
 
 
-def _of(values: Array, at: tuple[int, ...]) -> Array:
-    """One lane of inputs or poses, which may be shared."""
-    return values if values.ndim == 2 else values[(slice(None), slice(None), *at)]
+def _of(values: Any, lead: int, at: tuple[int, ...]) -> Any:
+    """One lane of what has a batch behind some axes of its own, or is shared: a view."""
+    index: Any = (*(slice(None),) * lead, *at)
+    return values if values.ndim == lead else values[index]
