@@ -189,7 +189,10 @@ class Reading:
 
 @attrs.frozen
 class ResultRow:
-    """A published number, ours with its interval, and the verdict with its reason."""
+    """A published number, ours with its interval, and the verdict with its reason.
+
+    ``given_by``: "ours" if the number lies in our interval, else the names of the readings that give it.
+    """
 
     id: str
     published: float
@@ -198,6 +201,7 @@ class ResultRow:
     runs: int
     verdict: Verdict
     why: str
+    given_by: tuple[str, ...] = ()
 
 
 def row(
@@ -219,7 +223,23 @@ def row(
         runs,
         word,
         " ".join(part for part in (why, published.uncertain, note) if part),
+        _givers(published, ours, readings) if word == "reproduced" else (),
     )
+
+
+def _givers(published: Published, ours: Interval, readings: Sequence[Reading]) -> tuple[str, ...]:
+    if _inside(published, ours):
+        return ("ours",)
+    return tuple(one.name for one in readings if one.gives(published))
+
+
+def _inside(published: Published, ours: Interval) -> bool:
+    """Whether our interval tells something, being no wider than our value, and holds the number."""
+    return _telling(ours) and Reading("ours", ours.low, ours.high).gives(published)
+
+
+def _telling(ours: Interval) -> bool:
+    return ours.high - ours.low <= abs(ours.value)
 
 
 def verdict(
@@ -248,9 +268,9 @@ def verdict(
     if not math.isfinite(ours.value):
         return "not comparable", "No run of ours gave a finite number."
     interval = f"the 95 % interval of ours, {ours.low:.4g} to {ours.high:.4g}"
-    telling = ours.high - ours.low <= abs(ours.value)
-    if telling and Reading("ours", ours.low, ours.high).gives(published):
+    if _inside(published, ours):
         return "reproduced", f"Inside {interval}."
+    telling = _telling(ours)
     inside = [one for one in readings if one.gives(published)]
     silent = (
         "" if telling else f"{interval[0].upper()}{interval[1:]}, is too wide to decide anything. "
@@ -300,16 +320,17 @@ class Claim:
 
 
 def judged(votes: Any) -> Judgement:
-    """Return "confirmed" if every vote is True, "refuted" if every one is False, else "undecided".
+    """Return "confirmed" if every vote is True, "refuted" if one is False, else "undecided".
+
+    A rule must hold under every condition it names: one under which it does not refutes it, whatever
+    the others vote.
 
     Example:
-    >>> judged([True, True]), judged([True, None]), judged([False]), judged([])
+    >>> judged([True, True]), judged([True, None]), judged([True, False]), judged([])
     ('confirmed', 'undecided', 'refuted', 'undecided')
     """
-    cast = list(votes)
-    if cast and all(vote is True for vote in cast):
-        return "confirmed"
-    return "refuted" if cast and all(vote is False for vote in cast) else "undecided"
+    words: dict[bool | None, Judgement] = {True: "confirmed", False: "refuted", None: "undecided"}
+    return words[all_of(votes)]
 
 
 def all_of(votes: Any) -> bool | None:
@@ -368,7 +389,10 @@ class Picture:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reproduction:
-    """Everything that came out of reproducing a paper; `results` is what ``results.json`` holds."""
+    """Everything that came out of reproducing a paper; `results` is what ``results.json`` holds.
+
+    ``together`` says in words whether one reading gives every number, or how many at most.
+    """
 
     paper: str
     title: str
@@ -380,6 +404,7 @@ class Reproduction:
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
     notes: tuple[str, ...] = ()
+    together: str = ""
 
     def results(self, versions: Mapping[str, str]) -> dict[str, Any]:
         """JSON-ready; null where a number is undefined.

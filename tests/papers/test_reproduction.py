@@ -103,10 +103,19 @@ def test_what_cannot_be_compared_says_why():
 
 
 @given(votes)
-def test_a_claim_is_confirmed_by_all_votes_and_refuted_by_none(given_votes):
+def test_a_claim_is_confirmed_by_all_votes_refuted_by_one_and_else_undecided(given_votes):
     word = judged(given_votes)
     assert (word == "confirmed") == (bool(given_votes) and set(given_votes) == {True})
-    assert (word == "refuted") == (bool(given_votes) and set(given_votes) == {False})
+    assert (word == "refuted") == (False in given_votes)
+
+
+def test_a_row_names_the_reading_that_gives_its_number_where_ours_does_not():
+    readings = [Reading("slow", 0.2, 0.3), Reading("fast", 0.05, 0.06), Reading("A", 0.1, 0.4)]
+    assert row(NUMBER, Interval(0.36, 0.35, 0.37), 10, readings).given_by == ("slow", "A")
+    assert row(NUMBER, Interval(0.25, 0.24, 0.26), 10, readings).given_by == ("ours",)
+    assert row(NUMBER, Interval(0.36, 0.35, 0.37), 10, readings[1:2]).given_by == ()
+    said = row(NUMBER, Interval(0.25, 0.24, 0.26), 10, readings, not_comparable="Another unit.")
+    assert said.given_by == ()
 
 
 @given(votes)

@@ -93,8 +93,11 @@ def _as_csv(table: Table) -> str:
 
 def _print(done: Reproduction) -> None:
     print_table(HEAD, rows(done))
+    if done.together:
+        click.echo(done.together)
     click.echo()
     print_table(
-        ("claim", "verdict", "text"), [(one.id, one.verdict, one.text) for one in done.claims]
+        ("claim", "verdict", "text", "found"),
+        [(one.id, one.verdict, one.text, one.tally) for one in done.claims],
     )
     click.echo(f"\n{len(done.errata)} errata, each with the test that shows it: see the report.")

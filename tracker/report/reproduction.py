@@ -8,7 +8,7 @@ from tracker.report import page as html
 from tracker.report.drawing import svg_and_png
 from tracker.reproduction import Reproduction, ResultRow
 
-HEAD = ("number", "published", "ours", "95 % interval", "runs", "verdict")
+HEAD = ("number", "published", "ours", "95 % interval", "runs", "verdict", "by reading")
 
 
 def rows(reproduction: Reproduction) -> list[tuple[str, ...]]:
@@ -21,9 +21,18 @@ def rows(reproduction: Reproduction) -> list[tuple[str, ...]]:
             _interval(one),
             str(one.runs),
             one.verdict,
+            _givers(one),
         )
         for one in reproduction.rows
     ]
+
+
+def _givers(one: ResultRow) -> str:
+    """By which reading a number is reproduced: the first of them, and how many more there are."""
+    if not one.given_by:
+        return "-"
+    first, *others = one.given_by
+    return f"{first}; {len(others)} more" if others else first
 
 
 def _interval(one: ResultRow) -> str:
@@ -57,9 +66,9 @@ def write_up(
                     "A number is reproduced if it lies inside the 95 % interval of ours, or inside "
                     "the range that one documented reading of the paper gives. A claim is confirmed "
                     "if its rule holds under every condition it was tried under, refuted if it "
-                    "holds under none."
+                    "does not under one of them: the evidence says under which."
                 ),
-                *[html.text(note) for note in reproduction.notes],
+                *[html.text(note) for note in (*reproduction.notes, reproduction.together) if note],
             ],
         ),
         (

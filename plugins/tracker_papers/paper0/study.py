@@ -149,7 +149,8 @@ class PaperZero:
                 rows, spreads, followed["A"], parts["A"], campaigns[MAIN], wrong,
                 collinear, network, cost,
             ),
-            notes=(*NOTES, best),
+            notes=NOTES,
+            together=best,
         )  # fmt: skip
 
 
