@@ -330,13 +330,13 @@ class Campaign:
         stage: str = "filter",
         *,
         axes: Any = None,
-        beyond: float = 5.0,
+        limits: tuple[float, float] | None = None,
         colours: Mapping[str, str] | None = None,
     ) -> Any:
         """A matplotlib Figure of `ratios`: a point with its interval for each estimator but ``to``.
 
-        Drawn into ``axes`` if given, an estimator in its own of ``colours`` where there is one. Who is
-        above ``beyond``, or lost, is at the right edge in words.
+        Drawn into ``axes`` if given, an estimator in its own of ``colours`` where there is one. The axis
+        spans ``limits``, by default all up to five; who is beyond is at the right edge in words.
 
         Raises:
             PluginError: if matplotlib is not installed.
@@ -344,7 +344,7 @@ class Campaign:
         """
         from tracker.report.campaign import ratios_figure
 
-        return ratios_figure(self, to, score, stage, axes, beyond, colours or {})
+        return ratios_figure(self, to, score, stage, axes, limits, colours or {})
 
     def plot(self) -> Any:
         """A matplotlib Figure: RMSE and NEES against time, for every estimator.

@@ -365,7 +365,7 @@ def test_ratios_tell_a_difference_that_is_no_chance_and_draw_it():
     assert found["wrong"].value == pytest.approx(middle[1] / middle[0])
     drawn = campaign.plot_ratios("right").axes[0]
     assert [label.get_text() for label in drawn.get_yticklabels()] == ["wrong", "again"]
-    far = campaign.plot_ratios("right", beyond=0.5, colours={"wrong": "red"}).axes[0]
+    far = campaign.plot_ratios("right", limits=(0.4, 0.9), colours={"wrong": "red"}).axes[0]
     assert far.texts[0].get_color() == "red"
     assert far.texts[0].get_text().startswith(f"{found['wrong'].value:.0f}")
     for given in (("nobody",), ("right", "beauty"), ("right", "rmse", "smoother")):

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 _STYLES = {"filter": "-", "smoother": "--"}
 
-LOST = 1e3
-"""A ratio beyond this is no number to read: the estimator was lost."""
+BEYOND, LOST = 5.0, 1e3
+"""A ratio beyond the first is told in words; beyond the second it is no number to read: the estimator was lost."""
 
 
 def figure(campaign: Campaign) -> Figure:
@@ -41,7 +41,7 @@ def ratios_figure(
     score: str,
     stage: str,
     axes: Any,
-    beyond: float,
+    limits: tuple[float, float] | None,
     colours: Mapping[str, str],
 ) -> Figure:
     """Each estimator's median score over that of one of them, with its interval.
@@ -55,7 +55,7 @@ def ratios_figure(
             from matplotlib.figure import Figure
 
             axes = Figure(figsize=(7.0, 1.1 + 0.32 * len(found))).subplots()
-        _draw_ratios(axes, {k: v for k, v in found.items() if k != to}, beyond, colours)
+        _draw_ratios(axes, {k: v for k, v in found.items() if k != to}, limits, colours)
         axes.set_xlabel(f"median {SCORE_WORDS.get(score, score)} over that of “{to}”")
     return axes.figure  # type: ignore[no-any-return]
 
@@ -66,7 +66,7 @@ SCORE_WORDS = {"rmse": "RMSE", "final_error": "final error", "nees": "NEES", "ni
 def _ratio_ticks(low: float, high: float) -> list[float]:
     """Round ratios on a logarithmic axis: 1, and as many more as leave room for their labels."""
     between = [v for v in _ROUND if low <= v <= high]
-    room = (high / low) ** 0.09
+    room = (high / low) ** 0.12
     kept = [1.0]
     for value in sorted(between, key=lambda v: abs(np.log(v))):
         if all(max(value / other, other / value) >= room for other in kept):
@@ -74,27 +74,33 @@ def _ratio_ticks(low: float, high: float) -> list[float]:
     return sorted(kept)
 
 
+_PAPER = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+"""Behind numbers, which may lie on the line at 1."""
+
 _ROUND = (0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 1.05, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 
 def _draw_ratios(
-    axes: Axes, found: Mapping[str, Interval], beyond: float, colours: Mapping[str, str]
+    axes: Axes,
+    found: Mapping[str, Interval],
+    limits: tuple[float, float] | None,
+    colours: Mapping[str, str],
 ) -> None:
-    drawn = [v for v in found.values() if v.value <= beyond]
+    drawn = [v for v in found.values() if v.value <= BEYOND]
     low = min([1.0, *(v.low for v in drawn)])
     high = max([1.0, *(v.high for v in drawn)])
     margin = (high / low) ** 0.06 if high > low else 1.1
-    right = high * margin**2.5
+    left, right = limits or (low / margin, high * margin**2.5)
     for place, (name, one) in enumerate(found.items()):
         colour = colours.get(name, PALETTE[0])
-        if one.value <= beyond:
+        if one.value <= (right if limits else BEYOND):
             away = ((one.value - one.low,), (one.high - one.value,))
             axes.errorbar(
                 one.value, place, xerr=away, fmt="o", color=colour, capsize=3, markersize=5
             )
             axes.annotate(
                 f"{one.value:.2f}", (one.high, place), (6, 0), textcoords="offset points",
-                va="center", color=INK, fontsize=10,
+                va="center", color=INK, fontsize=10, bbox=_PAPER,
             )  # fmt: skip
         else:
             lost = "lost" if not one.value < LOST else f"{one.value:.0f} \N{RIGHTWARDS ARROW}"
@@ -104,11 +110,11 @@ def _draw_ratios(
             )  # fmt: skip
     axes.axvline(1.0, color=INK, linewidth=1.0, linestyle=":")
     axes.set_xscale("log")
-    axes.set_xlim(low / margin, right)
+    axes.set_xlim(left, right)
     axes.set_yticks(range(len(found)), list(found))
     axes.set_ylim(len(found) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
-    ticks = _ratio_ticks(low / margin, right)
+    ticks = _ratio_ticks(left, right)
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
 
