@@ -167,13 +167,10 @@ def particles(runs: int, seed: int, rng: np.random.Generator, count: int = PARTI
         ("echoes", underwater_multipath(told=True)),
         ("angles, static", underwater_angles(told=True)),
     ):
-        off = np.abs(np.asarray(scene.start) - scene.prior.mean)
-        honest = Gaussian(scene.prior.mean, scene.prior.cov + np.diag(off**2))
-        for prior_label, prior in (
-            ("prior of the thesis", scene.prior),
-            ("prior that holds the start", honest),
+        for prior_label, now in (
+            ("prior of the thesis", scene),
+            ("prior that holds the start", methods.fairly_begun(scene)),
         ):
-            now = attrs.evolve(scene, prior=prior)
             made = {"ekf": methods.estimator(now, "ekf1")} | {
                 name: methods.estimator(now, name, particles=count)
                 for name in ("bootstrap", "regularised")

@@ -13,8 +13,10 @@ import attrs
 import numpy as np
 
 import tracker as tk
+from tracker.adaptation import with_noise
 from tracker.models import sqrt
-from tracker.types import Array
+from tracker.simulation import Simulation
+from tracker.types import Array, Gaussian
 from tracker_papers.underwater_multipath import PRESETS
 from tracker_sensors.multipath_delays import multipath_delays
 from tracker_sensors.stack import stack
@@ -168,6 +170,41 @@ def underwater_estimators(scene: tk.Scenario, right: tk.Scenario, scale: float) 
         "ukf": estimator(scene, "ukf"),
         "true": estimator(right, "ekf1"),
         "hand": estimator(scene, "ekf1", fuzzy_r(scene, scale)),
+    }
+
+
+def fairly_begun(scene: tk.Scenario) -> tk.Scenario:
+    """The scenario with a prior that holds its true start: its covariance and the square of how far it is off.
+
+    The thesis begins up to ten standard deviations off, which no consistent filter expects.
+    """
+    off = np.diag((np.asarray(scene.start) - scene.prior.mean) ** 2)
+    prior = Gaussian(scene.prior.mean, scene.prior.cov + off)
+    return attrs.evolve(scene, prior=prior, name=f"{scene.name}, fairly begun")
+
+
+def likeliest_noise(scene: tk.Scenario, runs: Simulation) -> Array:
+    """R by expectation maximisation from runs without their truth, ``(m, m)``: a diagonal."""
+    return tk.expectation_maximisation(
+        estimator(scene, "ekf1"), runs.record, runs.prior, start=runs.start, process="fixed",
+        measurement="diagonal",
+    ).R  # fmt: skip
+
+
+def underwater_baselines(scene: tk.Scenario, scale: float, R: Array) -> dict[str, Any]:
+    """What the thesis lacks, under water: `baselines`, and the rest that this framework has.
+
+    Fuzzy Q, by itself and with fuzzy R; a network in the place of the fuzzy system; and the EKF told
+    ``R``, `likeliest_noise` of the runs that others are tuned on.
+    """
+    hand = fuzzy_r(scene, scale)
+    joint = tk.adapters.make("joint_noise", measurement=hand, process="fuzzy_process_noise")
+    return {
+        "EM": tk.estimator("ekf1", motion=scene.motion, sensor=with_noise(scene.sensor, R)),
+        "fuzzy Q": estimator(scene, "ekf1", "fuzzy_process_noise"),
+        "fuzzy R and Q": estimator(scene, "ekf1", joint),
+        "network by hand": estimator(scene, "ekf1", network_r(scene, scale)),
+        **baselines(scene, "ekf1"),
     }
 
 
