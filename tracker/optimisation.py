@@ -124,6 +124,15 @@ class Optimisation:
         """
         from tracker.io.arrays import save_arrays
 
+        save_arrays(Path(path), *self.written())
+        return Path(path)
+
+    def written(self) -> tuple[dict[str, Array], dict[str, Any]]:
+        """All of it as arrays and plain values, for `restored`.
+
+        Raises:
+            CapabilityError: if the optimiser is not in the registry.
+        """
         name = _registered(self.optimiser)
         leaves: list[Any] = []
         _mapped(leaves.append, self.memory)
@@ -137,8 +146,7 @@ class Optimisation:
             "numbers": list(self.numbers),
             "statics": {str(k): v for k, v in enumerate(leaves) if not isinstance(v, np.ndarray)},
         }
-        save_arrays(Path(path), arrays, metadata)
-        return Path(path)
+        return arrays, metadata
 
 
 _ARRAYS = (
@@ -161,6 +169,15 @@ def load_optimisation(path: str | Path) -> Optimisation:
             wording(str(path), got=f"a file of kind {metadata.get('kind')!r}",
                     expected="an optimisation", do="give a file written by Optimisation.save")
         )  # fmt: skip
+    return restored(arrays, metadata)
+
+
+def restored(arrays: Mapping[str, Array], metadata: Mapping[str, Any]) -> Optimisation:
+    """What `Optimisation.written` made arrays of.
+
+    Raises:
+        UnknownComponent: if its optimiser is not installed.
+    """
     optimiser = optimisers.make(metadata["optimiser"], **metadata["parameters"])
     numbers = tuple(metadata["numbers"])
     rngs = [_generator(0, number) for number in numbers]
@@ -408,7 +425,8 @@ class _Search:
                             do="return one number per candidate and objective")
                 )  # fmt: skip
             given = given[None]
-        return np.fmin(given, _WORST)
+        value: Array = np.fmin(given, _WORST)
+        return value
 
     def _note(self, x: Array, value: Array) -> None:
         """The best so far, and where; costs are not written over, as the history keeps them."""

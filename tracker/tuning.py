@@ -18,7 +18,7 @@ from tracker.errors import CapabilityError, ConfigError, DomainError, TrackerErr
 from tracker.estimation import Estimator
 from tracker.metrics.consistency import Interval
 from tracker.montecarlo import comparable
-from tracker.optimisation import Optimisation, optimise
+from tracker.optimisation import Optimisation, optimise, restored
 from tracker.protocols import Optimiser
 from tracker.registry import optimisers
 from tracker.simulation import Scenario, stream
@@ -35,6 +35,9 @@ BOUND = 0.01
 
 ALPHA = 1000.0
 """The thesis's factor before degrees of mismatch (paper 4, eq. 3-18, 3-19)."""
+
+SHOWN = 9
+"""Settings of a front that a summary lists."""
 
 HONEST = 1.25
 """A mean NEES that is wrong by a smaller factor is not worth a warning."""
@@ -210,20 +213,26 @@ def _keys(values: Mapping[str, object]) -> str:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Tuning:
-    """The result of `tune`.
+    """The result of `tune`; given to it again as ``resume``, its search goes on.
 
     ``estimator`` is the tuned one (None if this was read from a file: see `applied_to`). ``training``
     and ``held_out`` hold a `Score` each for the numbers "given" and "tuned"; held_out is empty if nothing
     was held out.
 
+    Of several objectives, ``front`` holds such a result for each setting that no other found is better
+    than in all of them, in the order of the first objective; the tuned numbers are a compromise, those
+    of the front that are nearest to the lowest of all costs, each relative to its range there.
+
     Shapes:
         evaluated ``(G,)``: evaluations of a restart up to the end of each generation; best, mean
         ``(G, restarts)``: lowest cost up to then, mean over the finite costs of that generation;
-        settings ``(d, restarts)``, costs ``(restarts,)``: the best of each restart.
+        settings ``(d, restarts)``, costs ``(restarts,)``: the best of each restart. Of several
+        objectives best and mean are ``(G, objectives, restarts)``, settings and costs ``(d, k)`` and
+        ``(objectives, k)``: the front.
     """
 
     problem: str
-    objective: str
+    objective: str | tuple[str, ...]
     optimiser: str
     seed: int
     numbers: tuple[Tuned, ...]
@@ -236,7 +245,16 @@ class Tuning:
     costs: Array = attrs.field(repr=brief)
     rows: bool = False
     """Whether it is rows of a record that were held out, not runs."""
+    redraw: bool = False
     estimator: Estimator | None = attrs.field(default=None, repr=False)
+    search: Optimisation | None = attrs.field(default=None, repr=False)
+    """None if this was read from a file that does not hold it: its optimiser is not registered."""
+    front: tuple[Tuning, ...] = attrs.field(default=(), repr=False)
+
+    @property
+    def objectives(self) -> tuple[str, ...]:
+        """Their names."""
+        return (self.objective,) if isinstance(self.objective, str) else self.objective
 
     @property
     def values(self) -> dict[str, float]:
@@ -245,8 +263,8 @@ class Tuning:
 
     @property
     def cost(self) -> float:
-        """That of the tuned numbers on the training runs."""
-        return self.training["tuned"].cost(self.objective)
+        """That of the tuned numbers on the training runs; of several objectives the first."""
+        return self.training["tuned"].cost(self.objectives[0])
 
     def applied_to(self, estimator: Estimator) -> Estimator:
         """An estimator with the tuned numbers.
@@ -271,11 +289,12 @@ class Tuning:
 
     def summary(self) -> str:
         """Numbers, scores side by side, and what a person should conclude."""
-        restarts = len(self.costs)
+        restarts = self.best.shape[-1]
         many = f"{restarts} restarts" if restarts > 1 else "1 restart"
         used = int(self.evaluated[-1]) if len(self.evaluated) else 0
+        aims = " and ".join(map(repr, self.objectives))
         head = (
-            f"{self.problem}: tuned for {self.objective!r} by {self.optimiser}, {many} of {used} "
+            f"{self.problem}: tuned for {aims} by {self.optimiser}, {many} of {used} "
             f"evaluations, seed {self.seed}"
         )
         named = [["number", "given", "tuned", "between"]]
@@ -292,14 +311,28 @@ class Tuning:
         columns = [f"{size}: {which}" for size in sizes for which in ("given", "tuned")]
         scored = [["[95 % interval]", *columns]]
         for row in self.table():
-            mark = "* " if row["objective"] == self.objective else "  "
+            mark = "* " if row["objective"] in self.objectives else "  "
             cells_ = [_cell(value) for value in row.values() if isinstance(value, Interval)]
             scored.append([mark + row["title"], *cells_])
         both = [*self.training.values(), *self.held_out.values()]
         if any(score.lost.any() for score in both):
             scored.append(["  lost runs", *(str(int(score.lost.sum())) for score in both)])
         said = [f"Warning: {words}" for words in self.warnings()]
-        return "\n".join([head, *_aligned(named), *_aligned(scored), *said])
+        return "\n".join([head, *_aligned(named), *_aligned(scored), *self._front_lines(), *said])
+
+    def _front_lines(self) -> list[str]:
+        """Some of the front, evenly spread, as told on the runs held out."""
+        if not self.front:
+            return []
+        titles = [OBJECTIVES[name].title for name in self.objectives]
+        lines = [["front", *titles, *(number.name for number in self.numbers)]]
+        for k in sorted(set(np.linspace(0, len(self.front) - 1, SHOWN).astype(int).tolist())):
+            one = self.front[k]
+            score = (one.held_out or one.training)["tuned"]
+            told = [score.interval(name).value for name in self.objectives]
+            cells = [f"{v:.4g}" for v in (*told, *(number.value for number in one.numbers))]
+            lines.append([f"[{k}]", *cells])
+        return _aligned(lines)
 
     def warnings(self) -> list[str]:
         """What a person should be told before using the numbers; empty if nothing."""
@@ -321,12 +354,13 @@ class Tuning:
                     f"the tuned filter is {word}: its mean {what} is {found.value:.3g} times what a "
                     "consistent filter has."
                 )
-        if self.objective != "rmse" and told["tuned"].offers("rmse"):
+        if "rmse" not in self.objectives and told["tuned"].offers("rmse"):
             gain, error = told["tuned"].gain(told["given"], "rmse")
             if gain < -2.0 * error:
                 before, after = (told[k].interval("rmse").value for k in ("given", "tuned"))
+                aims = " and ".join(map(repr, self.objectives))
                 out.append(
-                    f"better by {self.objective!r} is not more accurate here: the RMSE went from "
+                    f"better by {aims} is not more accurate here: the RMSE went from "
                     f"{before:.4g} to {after:.4g}."
                 )
         return out
@@ -336,25 +370,26 @@ class Tuning:
         if not self.held_out:
             return ["nothing was held out: these scores are those of the runs it was tuned on."]
         kind = "rows" if self.rows else "runs"
-        won, error = self.training["tuned"].gain(self.training["given"], self.objective)
-        kept, other = self.held_out["tuned"].gain(self.held_out["given"], self.objective)
-        alone = " (a single run: chance is not ruled out)" if not np.isfinite(other) else ""
-        error, other = (e if np.isfinite(e) else 0.0 for e in (error, other))
-        if not np.isfinite(won - kept):
-            return []
-        if kept < -2.0 * other:
-            words = (
-                f"overfitted: on the {kind} held out the tuned numbers are worse than the given ones; the "
-                f"cost rose by {-kept:.3g}, where in training it fell by {won:.3g}{alone}."
-            )
-            return [words]
-        if won - kept > max(0.5 * won, 2.0 * math.hypot(error, other)):
-            words = (
-                f"overfitted: in training the cost fell by {won:.3g}, on the {kind} held out by "
-                f"{kept:.3g}, less than half{alone}."
-            )
-            return [words]
-        return []
+        out = []
+        for name in self.objectives:
+            won, error = self.training["tuned"].gain(self.training["given"], name)
+            kept, other = self.held_out["tuned"].gain(self.held_out["given"], name)
+            alone = " (a single run: chance is not ruled out)" if not np.isfinite(other) else ""
+            error, other = (e if np.isfinite(e) else 0.0 for e in (error, other))
+            if not np.isfinite(won - kept) or (won <= 0.0 and self.front):
+                continue  # unknown, or what the other objectives cost
+            cost = "the cost" if len(self.objectives) == 1 else f"the cost {name!r}"
+            if kept < -2.0 * other:
+                out.append(
+                    f"overfitted: on the {kind} held out the tuned numbers are worse than the given ones; "
+                    f"{cost} rose by {-kept:.3g}, where in training it fell by {won:.3g}{alone}."
+                )
+            elif won - kept > max(0.5 * won, 2.0 * math.hypot(error, other)):
+                out.append(
+                    f"overfitted: in training {cost} fell by {won:.3g}, on the {kind} held out by "
+                    f"{kept:.3g}, less than half{alone}."
+                )
+        return out
 
     def __str__(self) -> str:
         return self.summary()
@@ -366,7 +401,10 @@ class Tuning:
 
     # -------------------------------------------------------------------------- in files
     def save(self, path: str | Path) -> Path:
-        """Write all but the estimator to one ``.npz`` file; `load_tuning` reads it back."""
+        """Write all but the estimator to one ``.npz`` file; `load_tuning` reads it back.
+
+        What can be resumed is among it, if the optimiser is registered.
+        """
         from tracker.io.arrays import save_arrays
 
         arrays = {name: getattr(self, name) for name in _ARRAYS}
@@ -376,18 +414,30 @@ class Tuning:
             for which, score in scores.items():
                 sizes[f"{where}/{which}"] = [score.steps, score.n]
                 arrays |= {f"{where}/{which}/{k}": v for k, v in score.totals.items()}
+            if scores and self.front:
+                each = [getattr(one, where)["tuned"].totals for one in self.front]
+                for name in each[0]:
+                    arrays[f"front/{where}/{name}"] = np.stack([one[name] for one in each], axis=1)
         metadata = {
             "kind": "tuning",
             "numbers": [[n.name, n.log] for n in self.numbers],
             "sizes": sizes,
             **{name: getattr(self, name) for name in _WORDS},
         }
+        if self.search is not None:
+            try:
+                searched, metadata["search"] = self.search.written()
+            except CapabilityError:
+                pass
+            else:
+                arrays |= {f"{_SEARCH}{name}": values for name, values in searched.items()}
         save_arrays(Path(path), arrays, metadata)
         return Path(path)
 
 
 _ARRAYS = ("evaluated", "best", "mean", "settings", "costs")
-_WORDS = ("problem", "objective", "optimiser", "seed", "rows")
+_WORDS = ("problem", "objective", "optimiser", "seed", "rows", "redraw")
+_SEARCH = "search/"
 
 
 def load_tuning(path: str | Path) -> Tuning:
@@ -395,6 +445,7 @@ def load_tuning(path: str | Path) -> Tuning:
 
     Raises:
         ConfigError: if the file is not one.
+        UnknownComponent: if its optimiser is not installed.
     """
     from tracker.io.arrays import load_arrays
 
@@ -405,13 +456,20 @@ def load_tuning(path: str | Path) -> Tuning:
                     do="give a file written by Tuning.save")
         )  # fmt: skip
     scores: dict[str, dict[str, Score]] = {"training": {}, "held_out": {}}
+    fronts: dict[str, list[Score]] = {}
     for key, (steps, n) in metadata["sizes"].items():
         where, which = key.split("/")
-        totals = {name: arrays[f"{key}/{name}"] for name in TOTALS if f"{key}/{name}" in arrays}
-        scores[where][which] = Score(totals, steps, n)
+        scores[where][which] = Score(_totals(arrays, key), steps, n)
+        if f"front/{where}/loglik" in arrays:
+            fronts[where] = _scores(_totals(arrays, f"front/{where}"), steps, n)
     kept: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
     kept |= {name: metadata[name] for name in _WORDS}
-    return Tuning(
+    if not isinstance(kept["objective"], str):
+        kept["objective"] = tuple(kept["objective"])
+    if "search" in metadata:
+        own = {k.removeprefix(_SEARCH): v for k, v in arrays.items() if k.startswith(_SEARCH)}
+        kept["search"] = restored(own, metadata["search"])
+    found = Tuning(
         numbers=tuple(
             Tuned(name, float(low), float(high), log, float(given), float(value))
             for (name, log), (low, high, given, value) in zip(
@@ -422,6 +480,34 @@ def load_tuning(path: str | Path) -> Tuning:
         held_out=scores["held_out"],
         **kept,
     )
+    return _with_front(found, fronts["training"], fronts.get("held_out", [])) if fronts else found
+
+
+def _totals(arrays: Mapping[str, Array], key: str) -> dict[str, Array]:
+    return {name: arrays[f"{key}/{name}"] for name in TOTALS if f"{key}/{name}" in arrays}
+
+
+def _with_front(
+    found: Tuning,
+    training: Sequence[Score],
+    held_out: Sequence[Score],
+    built: Callable[[list[float]], Estimator | None] = lambda _: None,
+) -> Tuning:
+    """A result with its front: settings are its own, in this order."""
+    front = []
+    for k, values in enumerate(found.settings.T.tolist()):
+        numbers_ = tuple(
+            attrs.evolve(n, value=v) for n, v in zip(found.numbers, values, strict=True)
+        )
+        one = attrs.evolve(
+            found,
+            numbers=numbers_,
+            estimator=built(values),
+            training={**found.training, "tuned": training[k]},
+            held_out={**found.held_out, "tuned": held_out[k]} if held_out else {},
+        )
+        front.append(one)
+    return attrs.evolve(found, front=tuple(front))
 
 
 def _cell(value: Interval) -> str:
@@ -442,22 +528,23 @@ def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
 def tune(
     estimator: Estimator,
     problem: Scenario | Record,
-    parameters: Mapping[str | tuple[str, ...], Any],
-    objective: str = "rmse",
-    optimiser: str | Optimiser[Any] = "particle_swarm",
+    parameters: Mapping[str | tuple[str, ...], Any] | None = None,
+    objective: str | tuple[str, ...] | None = None,
+    optimiser: str | Optimiser[Any] | None = None,
     *,
     evaluations: int = 1000,
-    restarts: int | Sequence[int] = 1,
-    runs: int = 20,
+    restarts: int | Sequence[int] | None = None,
+    runs: int | None = None,
     held_out: int | None = None,
-    redraw: bool = False,
+    redraw: bool | None = None,
     prior: Gaussian | None = None,
     start: float | None = None,
     truth: Any = None,
-    seed: int = 0,
+    seed: int | None = None,
     workers: int = 1,
     patience: int | None = None,
     tolerance: float = 0.0,
+    resume: Tuning | None = None,
 ) -> Tuning:
     """Search numbers of an estimator's parts for which its runs score best.
 
@@ -466,7 +553,7 @@ def tune(
     several), "filter" and "adapter" with the names that these parts have for their numbers
     (`tracker.trials.numbers` lists them). Several names as a tuple are tied: they get one value.
 
-    The objectives are:
+    The objectives are ("rmse" if none is given):
 
     * "rmse": mean over runs of the position RMSE over a run; needs the truth;
     * "nees": how far the mean NEES is from n, ``|log(NEES / n)|``; needs the truth;
@@ -475,29 +562,38 @@ def tune(
     * "dom": the thesis's degree of mismatch, ``1000 sum_i sqrt(mean_k (S - C)(i,i)^2)``, C being that of a
       window of 25 steps; one sensor.
 
-    A `Scenario` is simulated once: ``runs`` runs, the same for every candidate, or, with ``redraw``, others
+    Several of them as a tuple are sought at once, by "nsga2" or another optimiser of several: what comes
+    of it has a `front`.
+
+    A `Scenario` is simulated once: ``runs`` runs (20), the same for every candidate, or, with ``redraw``, others
     in every generation (then lucky draws count until the end, where the best candidates of all
     restarts are compared on the same runs). The result is told on ``held_out`` other runs (100). All
     these runs are of streams that no campaign of that seed uses. Of a `Record`, each lane a run,
     the last ``held_out`` rows (a quarter) are kept from the search; it needs ``prior``, which holds at
     ``start``, and for errors ``truth``.
 
-    An optimiser given by name is told how many generations there will be. The estimator's own numbers
+    An optimiser given by name ("particle_swarm" for one objective) is told how many generations there
+    will be, and how many objectives. The estimator's own numbers
     are in the first population if they lie within the bounds. A candidate that loses a run, or
     that a part refuses, has the worst cost. ``patience`` and ``tolerance`` as in `tracker.optimise`.
+
+    ``resume`` is a result to go on from: ``evaluations`` counts what it has used; give the estimator and
+    the problem that it was given (prior, start and truth, too), all else is its own. What comes of it
+    equals one search with the larger budget by its optimiser, whose schedule ends where it did.
 
     Shapes:
         truth ``(T, n, *batch)`` beside a record ``(T, m, *batch)``.
 
     Raises:
         DomainError: for names, bounds or sizes that make no sense, or if no candidate keeps all runs.
-        CapabilityError: if the objective needs what is not there; for optimisers of several
+        CapabilityError: if the objective needs what is not there; for an optimiser of more or fewer
             objectives.
 
     Reference:
         paper 4, section 3 (the optimiser's cost is a whole filter run) and eq. 3-19.
     Laws:
-        the same seed gives the same answer for any ``workers``, on arrays as compiled up to rounding.
+        the same seed gives the same answer for any ``workers``, on arrays as compiled up to rounding; a
+        search that was resumed equals one that was not.
 
     Example:
     >>> import tracker as tk
@@ -508,16 +604,36 @@ def tune(
     >>> bool(abs(found.values["sensor.sigma"] / scene.sensor.parameters["sigma"] - 1) < 0.1)
     True
     """
-    _check(objective, runs, held_out)
-    named = [_named(estimator, names, bounds) for names, bounds in parameters.items()]
+    drawn = 0
+    if resume is not None:
+        given = {
+            "parameters": parameters, "objective": objective, "optimiser": optimiser, "seed": seed,
+            "restarts": restarts, "runs": runs, "held_out": held_out, "redraw": redraw,
+        }  # fmt: skip
+        for name in [name for name, value in given.items() if value is not None]:
+            raise DomainError(
+                wording(f"argument {name!r}", got="a value beside resume", do="leave it out",
+                        expected="what is resumed to bring its own")
+            )  # fmt: skip
+        parameters, objective, redraw = _bounds(resume), resume.objective, resume.redraw
+        runs, held_out, seed = resume.training["tuned"].runs, _told(resume), resume.seed
+        restarts = resume.best.shape[-1]
+        optimiser, drawn = _begun(resume)
+    objective = "rmse" if objective is None else objective
+    restarts = 1 if restarts is None else restarts
+    runs, seed = 20 if runs is None else runs, 0 if seed is None else seed
+    aims = (objective,) if isinstance(objective, str) else tuple(objective)
+    _check(aims, runs, held_out)
+    named = [_named(estimator, names, bounds) for names, bounds in (parameters or {}).items()]
     if not named:
         raise DomainError(
             wording("argument 'parameters'", got="nothing to tune", do="name at least one",
                     expected=f"numbers among {', '.join(numbers(estimator))}")
         )  # fmt: skip
     places = [each for _, each in named]
-    chosen = _optimiser(optimiser, evaluations)
-    needs = OBJECTIVES[objective].needs
+    bounds = [number for number, _ in named]
+    chosen = _optimiser(optimiser, evaluations, aims)
+    needs = sorted({name for aim in aims for name in OBJECTIVES[aim].needs})
     of: _Simulated | _Recorded
     if isinstance(problem, Scenario):
         comparable("estimator", estimator, problem)
@@ -529,6 +645,8 @@ def tune(
                         do="leave it out")
             )  # fmt: skip
         of = _Recorded(estimator, places, problem, prior, start, truth, held_out, seed, workers)
+    if resume is not None:
+        _check_resumed(resume, of.name, of.steps, bounds)
     count = restarts if isinstance(restarts, int) else len(restarts)
     together, n = chosen.population * count, estimator.motion.space.size
     if not estimator.motion.space.position and "squared_error" in needs:
@@ -536,9 +654,7 @@ def tune(
             wording("objective 'rmse'", got=f"states without a position ({estimator.motion.space})",
                     expected="components x, y or z", do="tune for 'nees' or 'likelihood'")
         )  # fmt: skip
-    drawn = 0
     trials = of.trials(needs, together)
-    bounds = [number for number, _ in named]
 
     def cost(x: Array) -> Any:
         nonlocal trials, drawn
@@ -546,59 +662,156 @@ def tune(
             trials = of.trials(needs, together, DRAWN_AGAIN + drawn)
         drawn += 1
         totals = trials(_settings(bounds, x.reshape(len(x), -1)))
-        return np.reshape(_costs(objective, totals, of.steps, n), x.shape[1:])
+        found = np.stack([_costs(aim, totals, of.steps, n) for aim in aims])
+        return found.reshape(len(aims), *x.shape[1:])
 
     inside = all(number.low <= number.given <= number.high for number in bounds)
-    given = np.array([[number.given] for number in bounds])
-    searched = optimise(
-        cost,
-        [[_there(number, number.low), _there(number, number.high)] for number in bounds],
-        chosen,
-        evaluations=evaluations,
-        restarts=restarts,
-        seed=seed,
-        start=_coordinates(bounds, given) if inside else None,
-        patience=patience,
-        tolerance=tolerance,
-    )
-    best = _settings(bounds, searched.x[:, 0])
+    known = np.array([[number.given] for number in bounds])
+    options: dict[str, Any] = {
+        "evaluations": evaluations,
+        "patience": patience,
+        "tolerance": tolerance,
+    }
+    if resume is not None:
+        searched = optimise(cost, resume=resume.search, **options)
+    else:
+        searched = optimise(
+            cost,
+            [[_there(number, number.low), _there(number, number.high)] for number in bounds],
+            chosen,
+            restarts=restarts,
+            seed=seed,
+            start=_coordinates(bounds, known) if inside else None,
+            **options,
+        )
+    several = len(aims) > 1
+    if several:
+        kept, _ = searched.survivors()
+        best = np.unique(_settings(bounds, kept.reshape(len(kept), -1)), axis=1)
+    else:
+        best = _settings(bounds, searched.x[:, 0])
     if not np.isfinite(searched.cost).any():
         raise _hopeless(estimator, places, bounds, searched)
-    candidates = np.concatenate([given, best], axis=1)
+    candidates = np.concatenate([known, best], axis=1)
     training = of.score(candidates)
-    costs = np.array([score.cost(objective) for score in training])
+    costs = np.array([[score.cost(aim) for score in training] for aim in aims])
+    if several:
+        order = _front(costs[:, 1:]) + 1
+        if not order.size:
+            raise _hopeless(estimator, places, bounds, searched)
+        at = int(order[_compromise(costs[:, order])])
+    else:
+        order = np.arange(1, len(training))
+        at = _lowest(costs[0], inside)
+    told = [0, *order] if several else [0, at]
+    others = of.score_held_out(candidates[:, told])
+
+    def built(values: list[float]) -> Estimator:
+        return retuned(estimator, places, values)
+
+    values = candidates[:, at].tolist()
+    found = Tuning(
+        problem=of.name,
+        objective=aims if several else aims[0],
+        optimiser=type(chosen).__name__,
+        seed=seed,
+        numbers=tuple(attrs.evolve(n_, value=v) for n_, v in zip(bounds, values, strict=True)),
+        training={"given": training[0], "tuned": training[at]},
+        held_out={"given": others[0], "tuned": others[told.index(at, 1)]} if others else {},
+        evaluated=searched.evaluated,
+        best=searched.best if several else searched.best[:, 0],
+        mean=searched.mean if several else searched.mean[:, 0],
+        settings=candidates[:, order],
+        costs=costs[:, order] if several else costs[0, order],
+        rows=isinstance(problem, Record),
+        redraw=bool(redraw),
+        estimator=built(values),
+        search=searched,
+    )
+    return _with_front(found, [training[k] for k in order], others[1:], built) if several else found
+
+
+# ------------------------------------------------------------------------------ what is resumed
+def _begun(resume: Tuning) -> tuple[Any, int]:
+    """The optimiser of a result, and how many generations it has begun and ended."""
+    search = resume.search
+    if search is None:
+        raise CapabilityError(
+            wording("what is to be resumed", got="a result without its search", do="resume what tune returned",
+                    expected="one whose optimiser is registered, so that a file can name it")
+        )  # fmt: skip
+    return search.optimiser, len(search.evaluated) - bool(search.pending.shape[1])
+
+
+def _bounds(resume: Tuning) -> dict[str | tuple[str, ...], Any]:
+    """As they were given."""
+    return {
+        tuple(n.name.split(" = ")): (n.low, n.high, "log" if n.log else "linear")
+        for n in resume.numbers
+    }
+
+
+def _told(resume: Tuning) -> int:
+    """How much was held out."""
+    if not resume.held_out:
+        return 0
+    score = resume.held_out["tuned"]
+    return score.steps if resume.rows else score.runs
+
+
+def _check_resumed(resume: Tuning, problem: str, steps: int, bounds: Sequence[Tuned]) -> None:
+    """That estimator and problem are those it was made with, as far as can be seen."""
+    was = resume.problem, resume.training["given"].steps
+    if (problem, steps) != was:
+        raise DomainError(
+            wording("the problem", got=f"{problem!r}, {steps} steps", expected=f"{was[0]!r}, {was[1]} steps",
+                    do="give the one that the result to be resumed was tuned on")
+        )  # fmt: skip
+    for new, old in zip(bounds, resume.numbers, strict=True):
+        if new.given != old.given:
+            raise DomainError(
+                wording(f"number {old.name!r} of the estimator", got=new.given, expected=str(old.given),
+                        do="give the estimator that the search began with, not the tuned one")
+            )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------ the best
+def _lowest(costs: Array, inside: bool) -> int:
+    """The place of the lowest cost; the first is that of the given numbers, which count if in bounds."""
     considered = np.fmin(costs, np.inf)
     considered[0] = considered[0] if inside else np.inf
     at = int(np.argmin(considered))
     if at == 0 and considered[0] in considered[1:]:  # the given numbers, and found again
         at = 1 + int(np.argmin(considered[1:]))
-    values = candidates[:, at]
-    others = of.score_held_out(np.stack([candidates[:, 0], values], axis=1))
-    return Tuning(
-        problem=of.name,
-        objective=objective,
-        optimiser=type(chosen).__name__,
-        seed=seed,
-        numbers=tuple(
-            attrs.evolve(n_, value=float(v)) for n_, v in zip(bounds, values, strict=True)
-        ),
-        training={"given": training[0], "tuned": training[at]},
-        held_out=dict(zip(("given", "tuned"), others, strict=False)),
-        evaluated=searched.evaluated,
-        best=searched.best[:, 0],
-        mean=searched.mean[:, 0],
-        settings=best,
-        costs=costs[1:],
-        rows=isinstance(problem, Record),
-        estimator=retuned(estimator, places, values.tolist()),
+    return at
+
+
+def _front(costs: Array) -> Any:
+    """Places of costs ``(rows, k)`` that are finite and dominated by none, by the first row."""
+    costs = np.where(np.isfinite(costs).all(axis=0), costs, np.inf)
+    worse = np.any(
+        (costs[:, :, None] <= costs[:, None]).all(axis=0)
+        & (costs[:, :, None] < costs[:, None]).any(axis=0),
+        axis=0,
     )
+    places = np.flatnonzero(~worse & np.isfinite(costs[0]))
+    return places[costs[0, places].argsort(kind="stable")]
 
 
-def _check(objective: str, runs: int, held_out: int | None) -> None:
-    if objective not in OBJECTIVES:
+def _compromise(costs: Array) -> int:
+    """The place nearest to the lowest of all costs ``(rows, k)``, each relative to its range."""
+    above = costs - costs.min(axis=1, keepdims=True)
+    width = above.max(axis=1, keepdims=True)
+    return int(((above / np.where(width > 0.0, width, 1.0)) ** 2).sum(axis=0).argmin())
+
+
+def _check(aims: Sequence[str], runs: int, held_out: int | None) -> None:
+    unknown = [aim for aim in aims if aim not in OBJECTIVES]
+    if unknown or not aims or len(set(aims)) != len(aims):
+        objective = unknown[0] if unknown else tuple(aims)
         raise DomainError(
             wording("argument 'objective'", got=repr(objective), do="take one of these",
-                    expected=f"one of {', '.join(map(repr, OBJECTIVES))}")
+                    expected=f"one of {', '.join(map(repr, OBJECTIVES))}, or several")
         )  # fmt: skip
     if runs < 1 or (held_out is not None and held_out < 0):
         raise DomainError(
@@ -607,19 +820,30 @@ def _check(objective: str, runs: int, held_out: int | None) -> None:
         )  # fmt: skip
 
 
-def _optimiser(optimiser: str | Optimiser[Any], evaluations: int) -> Any:
+def _optimiser(
+    optimiser: str | Optimiser[Any] | None, evaluations: int, aims: Sequence[str]
+) -> Any:
     chosen: Any = optimiser
-    if isinstance(optimiser, str):
-        chosen = optimisers.make(optimiser)
+    if optimiser is None:
+        chosen = "particle_swarm" if len(aims) == 1 else "nsga2"
+    if isinstance(chosen, str):
+        chosen = optimisers.make(chosen)
         if hasattr(chosen, "generations"):  # schedules shall end with the budget
             whole = max(1, evaluations // chosen.population)
             chosen = attrs.evolve(chosen, generations=whole)
-    if chosen.rows != 1:
+        if hasattr(chosen, "objectives") and len(aims) > 1:
+            chosen = attrs.evolve(chosen, objectives=len(aims))
+    if chosen.rows != len(aims) or (len(aims) > 1 and not hasattr(chosen, "survivors")):
+        good = "'particle_swarm' or 'cma_es'" if len(aims) == 1 else "'nsga2'"
         raise CapabilityError(
-            wording(f"optimiser {type(chosen).__name__}", got="one of several objectives",
-                    expected="one of a single cost", do="use 'particle_swarm' or 'cma_es'")
+            wording(f"optimiser {type(chosen).__name__}", got=f"one of {_many(chosen.rows)}",
+                    expected=f"one of {_many(len(aims))}", do=f"use {good}")
         )  # fmt: skip
     return chosen
+
+
+def _many(rows: int) -> str:
+    return "a single cost" if rows == 1 else f"{rows} costs"
 
 
 def _named(

@@ -25,7 +25,7 @@ def uniforms(key: Keys, generation: int, count: int) -> Array:
     words = key.ravel().tolist()
     restarts = len(words) // 2
     if restarts == 1:
-        return seeded(*words, generation).random(_MIXING + count)[_MIXING:, None]
+        return seeded(words[0], words[1], generation).random(_MIXING + count)[_MIXING:, None]
     out = np.empty((restarts, _MIXING + count))
     for row, first, second in zip(out, words[:restarts], words[restarts:], strict=True):
         seeded(first, second, generation).random(out=row)

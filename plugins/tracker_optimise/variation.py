@@ -58,7 +58,8 @@ def polynomial_step(x: Array, u: Array, index: float) -> Array:
 def within(x: Array) -> Array:
     """Back into the unit cube, to the nearest point; in place."""
     np.maximum(x, _ZERO, out=x)
-    return np.minimum(x, _ONE, out=x)
+    np.minimum(x, _ONE, out=x)
+    return x
 
 
 def permutations(u: Array) -> Any:

@@ -14,6 +14,7 @@ from tracker.errors import CapabilityError, ConfigError, DomainError
 from tracker.metrics.consistency import chi_square_point, mean_interval
 from tracker.tuning import HELD_OUT, TRAINING, Score, Tuned
 from tracker_adaptive.fuzzy_measurement_noise import FuzzyMeasurementNoise
+from tracker_optimise import NSGA2, ParticleSwarm
 
 compiled = pytest.mark.skipif(not objects.available(), reason="llvmlite is not installed")
 
@@ -346,6 +347,103 @@ def test_a_result_is_kept_in_a_file(found, line, tmp_path):
         tk.load_tuning(campaign)
 
 
+# ------------------------------------------------------------------------------- going on
+@pytest.mark.parametrize("redraw", [False, True])
+def test_a_search_that_is_resumed_equals_one_that_is_not(line, redraw, tmp_path):
+    """Cut off within a generation and between two, kept in a file, and gone on with."""
+    scene, wrong = line
+    swarm = ParticleSwarm(population=8, generations=5)
+    options = {"runs": 3, "held_out": 4, "seed": 6, "restarts": 2, "redraw": redraw}
+    whole = tk.tune(wrong, scene, BOTH, "rmse", swarm, evaluations=40, **options)
+    part = tk.tune(wrong, scene, BOTH, "rmse", swarm, evaluations=11, **options)
+    assert part.best.shape[0] == 2
+    for budget in (13, 24, 40):
+        part = tk.load_tuning(part.save(tmp_path / "part.npz"))
+        part = tk.tune(wrong, scene, resume=part, evaluations=budget)
+    equal(whole, part)
+    for field in ("evaluated", "best", "mean", "settings", "costs"):
+        np.testing.assert_array_equal(getattr(whole, field), getattr(part, field), err_msg=field)
+    assert part.summary() == whole.summary()
+
+
+def test_what_is_resumed_brings_its_own_and_wants_what_it_was_given(line, found):
+    scene, wrong = line
+    for estimator, problem, more, words in (
+        (wrong, scene, {"parameters": BOTH}, "leave it out"),
+        (wrong, scene, {"seed": 0}, "leave it out"),
+        (found.estimator, scene, {}, "not the tuned one"),
+        (wrong, attrs.evolve(scene, t=scene.t[:50]), {}, "50 steps"),
+        (wrong, scene, {"resume": attrs.evolve(found, search=None)}, "without its search"),
+    ):
+        with pytest.raises((CapabilityError, DomainError), match=words):
+            tk.tune(estimator, problem, **({"resume": found, "evaluations": 1600} | more))
+
+
+# ------------------------------------------------------------------------- several objectives
+@pytest.fixture(scope="module")
+def front(line):
+    """Of a sensor twice as noisy as told, one density is most accurate, another most honest."""
+    scene, _ = line
+    scene = attrs.evolve(scene, truth_sensor=scene.sensor.with_parameters(sigma=6.0))
+    est = tk.estimator("kf", motion=scene.motion, sensor=scene.sensor)
+    bounds = {"motion.density": (1e-3, 10.0, "log")}
+    options = {"evaluations": 200, "runs": 10, "held_out": 30, "seed": 1, "restarts": 2}
+    nsga = NSGA2(population=20)
+    return scene, est, tk.tune(est, scene, bounds, ("rmse", "nees"), nsga, **options)
+
+
+def test_several_objectives_give_a_front(front):
+    scene, est, result = front
+    costs = result.costs
+    assert costs.shape == (2, len(result.front))
+    assert len(result.front) > 5
+    # By one number from good to bad: who is better in one objective is worse in the other.
+    assert (np.diff(costs[0]) > 0.0).all()
+    assert (np.diff(costs[1]) < 0.0).all()
+    for k, one in enumerate(result.front):
+        mine = [one.training["tuned"].cost(name) for name in ("rmse", "nees")]
+        np.testing.assert_array_equal(mine, costs[:, k])
+        assert list(one.values.values()) == result.settings[:, k].tolist()
+        assert one.estimator.motion.parameters["density"] == one.values["motion.density"]
+    for row, name in enumerate(("rmse", "nees")):
+        alone = tk.tune(
+            est, scene, {"motion.density": (1e-3, 10.0, "log")}, name,
+            evaluations=200, runs=10, held_out=0, seed=1,
+        )  # fmt: skip
+        assert costs[row].min() == pytest.approx(alone.cost, rel=1e-3, abs=1e-3), name
+    assert any(one.values == result.values for one in result.front)
+    assert all(row.min() < result.training["tuned"].cost(name) < row.max()
+               for row, name in zip(costs, ("rmse", "nees"), strict=True))  # fmt: skip
+
+
+def test_a_front_is_told_kept_in_a_file_and_gone_on_with(front, tmp_path):
+    scene, est, result = front
+    told = result.summary()
+    assert "tuned for 'rmse' and 'nees' by NSGA2, 2 restarts of 200" in told
+    assert f"[{len(result.front) - 1}]" in told
+    assert told.count("* ") == 2
+    again = tk.load_tuning(result.save(tmp_path / "front.npz"))
+    assert again.summary() == told
+    assert again.front[3].summary() == result.front[3].summary()
+    longer = tk.tune(est, scene, resume=again, evaluations=240)
+    options = {"evaluations": 240, "runs": 10, "held_out": 30, "seed": 1, "restarts": 2}
+    bounds = {"motion.density": (1e-3, 10.0, "log")}
+    whole = tk.tune(est, scene, bounds, ("rmse", "nees"), NSGA2(population=20), **options)
+    np.testing.assert_array_equal(longer.settings, whole.settings)
+    np.testing.assert_array_equal(longer.best, whole.best)
+
+
+def test_by_name_an_optimiser_of_several_learns_how_many(line):
+    scene, wrong = line
+    aims = ("rmse", "nees", "innovation")
+    result = tk.tune(wrong, scene, BOTH, aims, evaluations=100, runs=3, held_out=0)
+    assert result.optimiser == "NSGA2"
+    assert result.best.shape == (1, 3, 1)
+    alone = tk.tune(wrong, scene, BOTH, ("rmse",), evaluations=20, runs=3, held_out=0)
+    assert alone.objective == "rmse"
+    assert not alone.front
+
+
 # ---------------------------------------------------------------------------------- refusals
 @pytest.mark.parametrize(
     ("change", "words"),
@@ -358,7 +456,10 @@ def test_a_result_is_kept_in_a_file(found, line, tmp_path):
         ({"parameters": {"sensor.sigma": 3.0}}, "bounds of sensor.sigma"),
         ({"runs": 0}, "at least one run"),
         ({"evaluations": 0}, "evaluations"),
-        ({"optimiser": "nsga2"}, "one of several objectives"),
+        ({"optimiser": "nsga2"}, "expected one of a single cost"),
+        ({"objective": ("rmse", "nees"), "optimiser": "genetic"}, "expected one of 2 costs"),
+        ({"objective": ("rmse", "rmse")}, "'rmse', 'nees'"),
+        ({"objective": ()}, "'rmse', 'nees'"),
         ({"problem": "line"}, "a Scenario, or a Record"),
     ],
 )
