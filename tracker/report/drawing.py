@@ -109,14 +109,26 @@ def svg_and_png(
     Raises:
         PluginError: if matplotlib is not installed.
     """
-    without: Any = {"svg": {"Date": None}, "png": {"Software": None}}
     out = []
     with drawing():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
+
         picture = draw()
+        picture.dpi = STYLE["savefig.dpi"]
+        engine = picture.get_layout_engine()
+        if engine is not None:
+            FigureCanvasAgg(picture)  # whose fonts measure the texts
+            engine.execute(picture)
+            picture.set_layout_engine("none")  # what was laid out once stays where it is
         for form in forms:
             stream = io.BytesIO()
-            picture.savefig(stream, format=form, metadata=without[form])
-            picture.set_layout_engine("none")  # what was laid out once stays where it is
+            # savefig would draw once more before each, to lay out what is laid out
+            if form == "svg":
+                FigureCanvasSVG(picture).print_svg(stream, metadata={"Date": None})
+            else:
+                picture.dpi = STYLE["savefig.dpi"]
+                FigureCanvasAgg(picture).print_png(stream, metadata={"Software": None})
             out.append(stream.getvalue())
     return tuple(out)
 
