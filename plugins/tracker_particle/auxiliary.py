@@ -194,7 +194,7 @@ def _passes(
     why = records.passes_of(motion, sensors, ahead, weighs)
     if why:
         return why
-    counted = [(done, [*parameters, float(count), 0.0]) for done, parameters in weighs]
+    counted = [(done, [*own, float(count), 0.0], flags) for done, own, flags in weighs]
     noise = roots[0].reshape(-1, n * columns), roots[1]
     return records.Passes(ahead, counted, noise, columns, rows=2 * n + 1, pace=2)
 

@@ -321,7 +321,7 @@ def ahead(
     found = moving(motion, n, k, len(inputs))
     if type(found) is str:
         return None
-    done, parameters = found
+    done, parameters, flags = found
     time = 0.0 if t is None else t
     given = (dt, time, *inputs, *parameters, *root.ravel().tolist(), *_centre(state))
     full = filled(count)
@@ -337,7 +337,7 @@ def ahead(
         state.log_weights,
         state.key,
         state.step + 1,
-        motion.space.circular,
+        flags,
         _read(left, n),
         state.known_size,
         (out, weights),
@@ -355,7 +355,7 @@ def weigh(
     found = weighing(sensor, n, len(z), len(place))
     if type(found) is str:
         return None
-    done, parameters = found
+    done, parameters, flags = found
     given = (*z, *place, *parameters, *_centre(state))
     full = filled(count)
     out, left = numbers(full)(), done.left()
@@ -365,7 +365,6 @@ def weigh(
     nis, loglik, total, size = left[at + m + m * m :]
     if not total > TINY:
         return None
-    flags = sensor.state.circular
     measured: Any = float(sum(a == a for a in z))  # noqa: PLR0124 - not NaN
     if measured:
         log_weights = np.ndarray((full,), _DOUBLE, out)
@@ -519,25 +518,20 @@ def _runs(state: Particles) -> bool:
 
 
 def moving(motion: Any, n: int, columns: int, inputs: int) -> Any:
-    """The pass of a motion and its parameters, or in words why there is none."""
-    flags = motion.space.circular
-    if len(flags) != n or any(flags):
-        return "a component of its state lives on a circle"
-    return made_for(_made_ahead, motion, (columns, inputs))
+    """The pass of a motion, its parameters and its circular components, or in words why there is none."""
+    return made_for(_made_ahead, motion, (n, columns, inputs))
 
 
 def weighing(sensor: Any, n: int, m: int, p: int) -> Any:
-    """The pass of a sensor and its parameters, or in words why there is none."""
-    flags = sensor.state.circular
-    if (len(flags), m, p) != (n, sensor.space.size, sensor.pose_space.size):
-        return "it is given what it does not take"
-    if any(flags):
-        return "a component of its state lives on a circle"
-    return made_for(_made_weigh, sensor, n)
+    """The pass of a sensor, its parameters and circular components, or in words why there is none."""
+    return made_for(_made_weigh, sensor, (n, m, p))
 
 
 def made_for(make: Callable[[Any, Any], Pass], model: Any, size: Any) -> Any:
-    """The pass that is made for a model, and its parameters, or in words why there is none."""
+    """The pass that is made for a model, its parameters, and which components of the state are circular.
+
+    In words why there is none.
+    """
     try:
         known = _FOUND.setdefault(model, {})
     except TypeError:
@@ -545,18 +539,34 @@ def made_for(make: Callable[[Any, Any], Pass], model: Any, size: Any) -> Any:
     if size not in known:
         try:
             parameters = [float(value) for value in model.parameters.values()]
-            known[size] = (make(model, size), parameters)
+            known[size] = (make(model, size), parameters, _on_lines(model))
         except (TraceError, TypeError, AttributeError, ValueError) as error:
             known[size] = getattr(model, "why_opaque", "") or f"it cannot be traced: {error}"
     return known[size]
 
 
-def _made_ahead(motion: Any, size: tuple[int, int]) -> Pass:
-    return _ahead(_Ahead(structure(motion), *size, motion))
+def _on_lines(model: Any) -> tuple[bool, ...]:
+    """Which components of the state are circular: none is, or else.
+
+    Raises:
+        TraceError: if one is.
+    """
+    flags = tuple((model.state if hasattr(model, "h") else model.space).circular)
+    if any(flags):
+        raise TraceError("a component of its state lives on a circle")
+    return flags
 
 
-def _made_weigh(sensor: Any, n: int) -> Pass:
-    return _weigh(_Weigh(structure(sensor), n, sensor))
+def _made_ahead(motion: Any, size: tuple[int, int, int]) -> Pass:
+    if motion.space.size != size[0]:
+        raise TraceError("it moves other states than these")
+    return _ahead(_Ahead(structure(motion), *size[1:], motion))
+
+
+def _made_weigh(sensor: Any, size: tuple[int, int, int]) -> Pass:
+    if (sensor.state.size, sensor.space.size, sensor.pose_space.size) != size:
+        raise TraceError("it is given what it does not take")
+    return _weigh(_Weigh(structure(sensor), size[0], sensor))
 
 
 def _centre(state: Particles) -> list[float]:

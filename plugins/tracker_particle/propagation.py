@@ -129,7 +129,7 @@ def picked(points: Array, ancestors: Ancestors) -> Array:
 def resampled(state: Particles, scheme: Scheme, threshold: float) -> Particles:
     """The same belief in particles of even weight, in the lanes where it is due."""
     needed = lacking(state, threshold)
-    if not np.any(needed):
+    if needed is False or not np.any(needed):  # of one run it is a Python number's
         return state
     made = kernels.choose(state) if scheme == SYSTEMATIC else None
     if made is not None:

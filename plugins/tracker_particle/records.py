@@ -41,8 +41,8 @@ class Passes:
     passes need room for ``rows`` rows and take ``pace`` steps of a belief.
     """
 
-    ahead: tuple[kernels.Pass, list[float]]
-    weighs: Sequence[tuple[kernels.Pass, list[float]]]
+    ahead: tuple[kernels.Pass, list[float], Any]
+    weighs: Sequence[tuple[kernels.Pass, list[float], Any]]
     noise: tuple[Array, Any]
     columns: int
     more: int = 0
@@ -249,12 +249,12 @@ class _Loop:
         rows = np.empty((steps, 2 + q + len(parameters) + noise + n + more))
         rows[:, 2 + q : 2 + q + len(parameters)] = parameters
         looks = []
-        for sensor, (_, parameters) in zip(sensors, passes.weighs, strict=True):
+        for sensor, (_, parameters, _) in zip(sensors, passes.weighs, strict=True):
             given = sensor.space.size + sensor.pose_space.size
             look = np.empty((steps, given + len(parameters) + n + more))
             look[:, given : given + len(parameters)] = parameters
             looks.append(look)
-        sizes = [done.size for done, _ in (passes.ahead, *passes.weighs)]
+        sizes = [done.size for done, _, _ in (passes.ahead, *passes.weighs)]
         going, found = np.empty((steps, sizes[0])), np.empty((steps, max(sizes[1:])))
         room = max(n, passes.rows)
         clouds = [np.empty((room, full)) for _ in range(3)] + [np.empty(full) for _ in range(2)]
@@ -262,7 +262,7 @@ class _Loop:
         begins = n + more + n * n + 1
         table = np.array([
             [done.machine.address, _address(look), look.shape[1], begins + m + m * m + 1]
-            for (done, _), look, m in zip(
+            for (done, _, _), look, m in zip(
                 passes.weighs, looks, (s.space.size for s in sensors), strict=True
             )
         ])  # fmt: skip
