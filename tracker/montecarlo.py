@@ -38,7 +38,8 @@ BLOCK = 32
 """Runs per partial sum; chunks are whole multiples of it."""
 
 DIVERGED = 10.0
-"""A run has diverged if its final error exceeds this many times the median final error."""
+"""A run has diverged if its final error exceeds this many times the median final error, or, where that is
+larger, this many times what one who never measured is typically wrong by."""
 
 SLIGHT = 1.25
 """A mean NEES that is wrong by a smaller factor is called slightly so: many runs show the smallest one."""
@@ -52,6 +53,7 @@ PER_RUN = (
     "final_error",
     "final_nees",
     "final_sigma",
+    "reach",
     "nees",
     "nis",
     "count",
@@ -74,6 +76,7 @@ class Scores:
     Shapes:
         per_run: name -> ``(runs,)``; per_step: name -> ``(T,)``, means over the runs that were
         finite (``finite`` is their number). NIS belongs to the filter; a smoother has NaN there.
+        ``reach`` is how far a run's truth comes from the mean of its prior, or that prior's sigma.
     """
 
     n: int
@@ -82,10 +85,19 @@ class Scores:
 
     @property
     def diverged(self) -> Any:
-        """Which runs diverged: final error above 10 times the median, or not finite."""
+        """Which runs diverged: final error not finite, or above 10 times the median one or the median reach.
+
+        The median error alone is no yardstick where most runs are lost.
+        """
         final = self.per_run["final_error"]
         median = np.median(final[np.isfinite(final)]) if np.isfinite(final).any() else 0.0
-        return ~(final <= DIVERGED * median)
+        reach = self.per_run.get("reach", np.empty(0))  # a file of an older version has none
+        return ~(final <= DIVERGED * min([median, *([np.median(reach)] if reach.size else [])]))
+
+    @property
+    def lost(self) -> bool:
+        """Whether more than half of the runs diverged: then no median is one of runs that did not."""
+        return bool(2 * self.diverged.sum() > self.diverged.size)
 
     @property
     def unaware(self) -> Any:
@@ -250,6 +262,13 @@ class Campaign:
             scores = self.scores[row["estimator"]][row["stage"]]
             label = f"{row['estimator']} ({row['stage']})"
             ratio = row["nees"] / scores.n
+            if scores.lost:
+                out.append(
+                    f"{label} is lost: {row['diverged']} of {self.runs} runs diverged (final error above "
+                    f"{DIVERGED:g} times what one who never measured is typically wrong by, or times the "
+                    "median, or not finite). None of its scores says anything else."
+                )
+                continue
             if "nees" in (metrics or ("nees",)) and row["nees_share"] < 0.5:
                 word = "overconfident" if ratio > 1 else "underconfident"
                 slightly = "slightly " if 1.0 / SLIGHT < ratio < SLIGHT else ""
@@ -580,13 +599,27 @@ def _chunk(
     simulation = scenario.simulate(seed, runs, condition=condition)
     out: dict[tuple[str, str], _Reduced] = {}
     seconds: dict[str, float] = {}
+    reach = _reach(simulation, scenario)
     for name, built in estimators.items():
         begun = time.thread_time()
         estimation.fitting(built, simulation.record, simulation.prior, simulation.start)
-        stages = _scored(built, scenario, simulation, seed, condition)
-        out |= {(name, stage): reduced for stage, reduced in stages.items()}
+        for stage, reduced in _scored(built, scenario, simulation, seed, condition).items():
+            reduced.per_run["reach"] = reach
+            out[name, stage] = reduced
         seconds[name] = time.thread_time() - begun
     return out, seconds
+
+
+def _reach(simulation: Simulation, scenario: Scenario) -> Array:
+    """How far the truth of each run comes from the mean of its prior, or that prior's sigma: ``(runs,)``.
+
+    An estimator that never measured, nor moved its estimate, would be wrong by about so much.
+    """
+    prior, space = simulation.prior.moments(), scenario.motion.space
+    away = error(simulation.truth, prior.mean.reshape(1, space.size, -1), space)
+    farthest = np.sqrt(squared_position_error(away, space)).max(axis=0)
+    sigma = np.sqrt(sum(prior.cov[i, i] for i in space.position))
+    return np.asarray(np.maximum(farthest, sigma) + np.zeros(len(simulation.runs)))
 
 
 def _scored(

@@ -43,6 +43,14 @@ def test_without_names_it_tries_all_and_says_who_was_left_out():
     assert {"ekf1", "ukf", "bootstrap"} <= set(rows)
 
 
+def test_a_filter_that_most_runs_lose_is_lost_and_not_underconfident():
+    result = tell("ekf2", "ukf", "--scenario", "growth", "--runs", 20)
+    said = {
+        line.split()[0]: line.split("  ")[-1].strip() for line in result.output.splitlines()[2:]
+    }
+    assert said == {"ekf2": "lost", "ukf": "underconfident"}
+
+
 def test_a_named_filter_that_does_not_fit_is_an_error():
     result = tell("kf", "--scenario", "growth", "--runs", 2)
     assert result.exit_code != 0

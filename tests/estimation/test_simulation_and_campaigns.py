@@ -371,3 +371,36 @@ def test_ratios_tell_a_difference_that_is_no_chance_and_draw_it():
     for given in (("nobody",), ("right", "beauty"), ("right", "rmse", "smoother")):
         with pytest.raises(UnknownComponent, match="there are"):
             campaign.ratios(*given)
+
+
+def test_an_estimator_that_most_runs_lose_is_called_lost():
+    """The second-order filter on growth is wrong by 1e80: half the runs are below the median of that."""
+    scene = tk.scenario("growth")
+    named = {n: tk.estimator(n, motion=scene.motion, sensor=scene.sensor) for n in ("ekf2", "ukf")}
+    campaign = tk.monte_carlo(named, scene, runs=60, seed=0)
+    ekf2, ukf = (campaign.scores[name]["filter"] for name in named)
+    assert ekf2.percentile("rmse", 10)[0] > 1e20
+    assert ekf2.diverged.sum() > 55
+    assert ekf2.lost
+    assert not ukf.lost
+    of_ekf2 = [words for words in campaign.warnings() if words.startswith("ekf2")]
+    assert of_ekf2[0].startswith(f"ekf2 (filter) is lost: {ekf2.diverged.sum()} of 60")
+    assert len(of_ekf2) == 1, "nothing else is said of it"
+
+
+def test_how_far_a_run_comes_is_measured_from_its_prior(tmp_path):
+    scene = tk.scenario("two_stations", steps=40)
+    estimator = tk.estimator("ekf1", motion=scene.motion, sensor=scene.sensor, smoother="rts")
+    campaign = tk.monte_carlo({"ekf1": estimator}, scene, runs=40, seed=3)
+    runs = scene.simulate(3, 40)
+    mean = runs.prior.mean.reshape(4, -1)
+    away = np.hypot(runs.truth[:, 0] - mean[0], runs.truth[:, 1] - mean[1]).max(axis=0)
+    for stage in ("filter", "smoother"):
+        reach = campaign.scores["ekf1"][stage].per_run["reach"]
+        assert (reach >= away - 1e-12).all()
+        assert (reach <= np.maximum(away, 10.0)).all()
+    campaign.save(tmp_path / "campaign.npz")
+    again = tk.load_campaign(tmp_path / "campaign.npz").scores["ekf1"]["filter"]
+    np.testing.assert_array_equal(again.diverged, campaign.scores["ekf1"]["filter"].diverged)
+    older = attrs.evolve(again, per_run={k: v for k, v in again.per_run.items() if k != "reach"})
+    assert older.diverged.shape == (40,)

@@ -81,7 +81,7 @@ def compare(
                 raise
             left_out.append(f"{name}: {str(error).splitlines()[0]}")
     click.echo(f"{scene.name}: {runs} runs, {len(scene.t)} steps, seed {seed}")
-    print_table(HEAD, [_cells(row) for one in done for row in one.rows()])
+    print_table(HEAD, [_cells(row, runs) for one in done for row in one.rows()])
     for line in left_out:
         click.echo(f"Left out: {line}")
     if out is not None:
@@ -110,7 +110,7 @@ def _compared(name: str, scene: Scenario, smoother: str | None, runs: int, seed:
     return Compared(name, campaign, not reason(estimator))
 
 
-def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+def _cells(row: dict[str, Any], runs: int) -> tuple[str, ...]:
     smooth = row["stage"] == "smoother"
     return (
         f"{row['estimator']} smoothed" if smooth else row["estimator"],
@@ -121,12 +121,14 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         str(row["diverged"]),
         f"{row['cost_us']:.3g}",
         "compiled" if row["compiled"] else "arrays",
-        _word(row),
+        _word(row, runs),
     )
 
 
-def _word(row: dict[str, Any]) -> str:
-    """As `tracker.montecarlo.Campaign.warnings`, in one word."""
+def _word(row: dict[str, Any], runs: int) -> str:
+    """As `tracker.montecarlo.Campaign.warnings`, in one word; of one that is lost, that."""
+    if 2 * row["diverged"] > runs:
+        return "lost"
     if not row["nees_share"] < 0.5:
         return "consistent"
     ratio = row["nees"] / row["n"]
