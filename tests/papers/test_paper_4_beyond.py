@@ -57,7 +57,45 @@ def test_every_item_of_future_work_has_a_verdict(linear):
     assert len(parts) == 7
     assert list(found.sensors) == list(range(2, 9))
     words = {"yes", "no", "in part, or not to be told"}
-    assert {row[2] for row in beyond.table(found, 6).rows} <= words
+    table = beyond.table(found)
+    assert {row[2] for row in table.rows} <= words
+    runs = {row[0]: row[-1] for row in table.rows}
+    assert runs["fuzzy R in a UKF"] == "16", "what was measured for the tables, not what was asked"
+    assert runs["neural network"] == "6 fresh, 3 tuned on"
+    assert runs["stronger optimisers"] == "6 fresh, dealt to 3 restarts"
+    assert {runs[k] for k in ("particle filter", "more sensors", "several targets")} == {"6"}
+
+
+def test_stronger_optimisers_are_judged_by_cost_and_by_fresh_runs(linear):
+    tuned, fresh = linear
+    study, found = beyond.stronger(tuned, fresh, 9, 1, BUDGET)
+    assert set(study.votes) == {
+        f"{name}, {what}" for name in tuning.STRONGER for what in ("cost", "error on fresh runs")
+    }
+    whole = measured(fresh.scene, found.estimators(), 9, 1)["de"].rmse
+    restart = found.problem.estimator(found.numbers["de"][:, [1]])
+    one = measured(fresh.scene, {"de": restart}, [4], 1)["de"].rmse
+    np.testing.assert_allclose(
+        whole[:, 4], one[:, 0], rtol=1e-9
+    )  # run 4 is dealt to restart 1 of 3
+    assert "9 fresh" in study.runs
+
+
+def test_targets_are_lanes_of_one_call():
+    """Each as it would be alone, the first being the thesis's own."""
+    place = beyond.targets_together(beyond.TARGETS[:2], 3, 1)
+    assert place["hand"].shape == (2, 3)
+    scene = underwater_multipath()
+    made = {
+        "ekf": methods.estimator(scene, "ekf1"),
+        "hand": methods.estimator(scene, "ekf1", methods.fuzzy_r(scene)),
+    }
+    alone = measured(scene, made, 3, 1, condition=11)
+    for name in made:
+        np.testing.assert_allclose(place[name][0], alone[name].place, rtol=1e-12)
+    assert (np.abs(place["ekf"][1] / place["ekf"][0] - 1.0) > 1e-3).all(), (
+        "another target, another error"
+    )
 
 
 @pytest.mark.statistical

@@ -88,6 +88,11 @@ def _moving(a: Array, b: Array, window: int) -> Array:
     return out / window
 
 
+def by_restart(values: Array, restarts: int) -> Array:
+    """Means over the runs that each restart was dealt; restarts of different optimisers got the same."""
+    return np.array([np.nanmean(values[k::restarts]) for k in range(restarts)])
+
+
 def rms(values: Array) -> Array:
     """Root mean square over time, the first axis."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

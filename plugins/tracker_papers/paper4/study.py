@@ -19,6 +19,7 @@ from tracker_papers.paper4.scores import (
     Followed,
     Outcome,
     Outcomes,
+    by_restart,
     follow,
     measured,
 )
@@ -137,7 +138,7 @@ class PaperFour:
             errata=paper.errata,
             tables=(
                 *tables.tables(found, beside, rng),
-                *([beyond.table(more, min(runs, BEYOND))] if more else []),
+                *([beyond.table(more)] if more else []),
             ),
             pictures=(
                 *figures.pictures(found, rows),
@@ -411,7 +412,7 @@ def _claims(paper: Paper, found: Everything, rng: np.random.Generator) -> tuple[
     # each restart on the runs that it was not tuned on: their mean over the states
     error = {
         e: {
-            name: _by_restart(one.fresh[name].rmse.mean(axis=0), len(one.tuned.cost[name]))
+            name: by_restart(one.fresh[name].rmse.mean(axis=0), len(one.tuned.cost[name]))
             for name in OPTIMISERS
         }
         for e, one in main.items()
@@ -443,11 +444,6 @@ def _claims(paper: Paper, found: Everything, rng: np.random.Generator) -> tuple[
         claims.jumps_soon(paper, position, rng),
         claims.tracked_in_large_noise(paper, relative),
     )
-
-
-def _by_restart(values: Array, restarts: int) -> Array:
-    """Means over the runs that each restart was dealt; restarts of different optimisers got the same."""
-    return np.array([np.nanmean(values[k::restarts]) for k in range(restarts)])
 
 
 def _late(one: Outcomes, plain: str, adapted: str) -> dict[str, Array]:
