@@ -14,7 +14,7 @@ from tracker.errors import DomainError, wording
 from tracker.models import absolute, exp, isnan, less, log, maximum, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.mixture import begun, chosen, innovation, made, of_each, together
+from tracker_kalman.mixture import begun, chosen, gaussian_member, innovation, of_each, together
 
 MOST = 16
 """Members of a compiled step, which has instructions of its own for each of them."""
@@ -125,6 +125,7 @@ class GaussianSumFilter:
 
     Raises:
         DomainError: if components is below one, or prune or merge is out of range.
+        CapabilityError: if its filter draws random numbers.
     Reference:
         Alspach and Sorenson (1972), IEEE Trans. Automatic Control 17 (4), pp. 439-448; Runnalls (2007),
         IEEE Trans. Aerospace and Electronic Systems 43 (3), pp. 989-999, for merging.
@@ -139,7 +140,7 @@ class GaussianSumFilter:
     ([0.011, 0.222, 0.533, 0.222, 0.011], [[4.0, 1.0], [1.0, 2.0]])
     """
 
-    filter: Any = attrs.field(default="ekf1", converter=made)
+    filter: Any = attrs.field(default="ekf1", converter=gaussian_member)
     components: int = attrs.field(default=1, kw_only=True, validator=_positive_count)
     prune: float = attrs.field(default=0.0, kw_only=True, validator=_share)
     merge: float = attrs.field(default=0.0, kw_only=True, validator=_share)

@@ -14,7 +14,7 @@ from tracker.errors import CapabilityError, wording
 from tracker.models import absolute, exp, less, log, maximum, one_of, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection, Space
-from tracker_kalman.mixture import begun, chosen, innovation, made, together
+from tracker_kalman.mixture import begun, chosen, gaussian_member, innovation, together
 
 MISSING = ("zero", "prior", "common")
 """What a component is in a mode that lacks it; see `InteractingMultipleModels`."""
@@ -121,7 +121,7 @@ class ModeProjection:
 def filters_of(value: Any) -> tuple[Any, ...]:
     """One filter, or several, each itself or the name of a registered one."""
     given = [value] if isinstance(value, str) or not isinstance(value, Iterable) else list(value)
-    return tuple(made(one) for one in given)
+    return tuple(gaussian_member(one) for one in given)
 
 
 @attrs.frozen
@@ -152,7 +152,7 @@ class InteractingMultipleModels:
     their predicted probabilities.
 
     Raises:
-        CapabilityError: if there are several filters, but not one for each mode.
+        CapabilityError: if there are several filters, but not one for each mode; if one draws random numbers.
     Reference:
         Blom and Bar-Shalom (1988), IEEE Trans. Automatic Control 33 (8), pp. 780-783; Bar-Shalom, Li
         and Kirubarajan (2001), section 11.6.6.

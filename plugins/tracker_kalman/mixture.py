@@ -10,10 +10,11 @@ import attrs
 import numpy as np
 
 from tracker.algebra import finite, mahalanobis, mix, without_missing
+from tracker.errors import CapabilityError, wording
 from tracker.models import absolute, isnan, less, where
 from tracker.models.graph import Node
 from tracker.protocols import SensorModel
-from tracker.recursion import lanes_of
+from tracker.recursion import is_random, lanes_of
 from tracker.types import Innovation
 
 
@@ -24,6 +25,25 @@ def made(value: Any, kind: str = "filter") -> Any:
     from tracker.registry import default_registry
 
     return default_registry().get(kind, value).make()
+
+
+def gaussian_member(value: Any) -> Any:
+    """A filter, itself or by its name, that can be a member of a mixture.
+
+    Raises:
+        CapabilityError: if it draws random numbers: members are begun, mixed and merged as Gaussians.
+    """
+    rule = made(value)
+    if is_random(rule):
+        raise CapabilityError(
+            wording(
+                "a member of a mixture",
+                got=f"filter {type(rule).__name__}, which draws random numbers",
+                expected="a Gaussian filter: mixing would replace its particles by their moments",
+                do="pass for example 'ekf1' or 'ukf', or use the particle filter by itself",
+            )
+        )
+    return rule
 
 
 def begun(rule: Any, state: Any) -> Any:

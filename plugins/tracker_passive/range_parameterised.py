@@ -16,7 +16,7 @@ from tracker.models.graph import Node
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation
 from tracker_kalman.gaussian_sum import GaussianSum, GaussianSumFilter, normalised
-from tracker_kalman.mixture import begun, chosen, made, of_each
+from tracker_kalman.mixture import begun, chosen, gaussian_member, of_each
 
 ANGLES = ("azimuth", "elevation")
 
@@ -88,7 +88,7 @@ class RangeParameterised:
         those of kind "filter", before the first direction; a turn of everything turns the estimate.
     """
 
-    filter: Any = attrs.field(default="ekf1", converter=made)
+    filter: Any = attrs.field(default="ekf1", converter=gaussian_member)
     components: int = attrs.field(default=32, kw_only=True)
     nearest: float = attrs.field(default=50.0, kw_only=True, validator=_range)
     farthest: float = attrs.field(default=20_000.0, kw_only=True, validator=_range)

@@ -336,3 +336,18 @@ def test_noise_that_differs_between_lanes_is_that_of_all_members(members):
             found = after(motion, sensor)
             np.testing.assert_allclose(found.mean, want.mean, atol=1e-12)
             np.testing.assert_allclose(found.cov, want.cov, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["bootstrap", "auxiliary", "regularised", "marginalised"])
+@pytest.mark.parametrize("mixture", ["gaussian_sum", "range_parameterised", "imm"])
+def test_a_mixture_refuses_members_that_draw_random_numbers(mixture, name):
+    option = "filters" if mixture == "imm" else "filter"
+    given = tk.filters.make(name) if name != "marginalised" else "bootstrap"
+    for value in (given, "bootstrap"):
+        with pytest.raises(
+            CapabilityError, match="which draws random numbers; expected a Gaussian"
+        ):
+            tk.filters.make(mixture, **{option: value})
+    if mixture == "imm":
+        with pytest.raises(CapabilityError, match="BootstrapFilter"):
+            tk.filters.make(mixture, filters=["ekf1", "bootstrap"])
