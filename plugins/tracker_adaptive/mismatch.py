@@ -102,8 +102,7 @@ def corrections(step: Step, circular: tuple[bool, ...]) -> tuple[Any, Any]:
     Shapes:
         both ``(n, *batch)``.
     """
-    flags: Any = circular if any(circular) else False
-    gone = residual(step.filtered.mean, step.predicted.mean, flags)
+    gone = residual(step.filtered.mean, step.predicted.mean, circular)
     expected = diagonal_of(step.predicted.cov) - diagonal_of(step.filtered.cov)
     # Relative to what was there, lest rounding be taken for information.
     nothing = less(expected, 1e-12 * diagonal_of(step.predicted.cov) + 1e-290)

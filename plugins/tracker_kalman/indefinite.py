@@ -27,6 +27,8 @@ def semidefinite(P: Any, rounding: float = 1.0) -> Any:
 
     Shapes:
         P ``(n, n, *batch)``, symmetric; result alike.
+    Reference:
+        Higham (2002), Accuracy and Stability of Numerical Algorithms, sections 10.1.1 and 10.3.
     """
     n, tolerance = len(P), ROUNDING * rounding
     A = [[P[i, j] for j in range(n)] for i in range(n)]

@@ -17,11 +17,11 @@ from tracker.algebra import (
     symmetric_product,
     transpose,
 )
-from tracker.errors import DomainError, wording
 from tracker.models import isnan, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Innovation, Projection
 from tracker_kalman.indefinite import raised
+from tracker_kalman.inner import at_least
 from tracker_kalman.sigma_point import SigmaPointFilter, check_floor, through_sensor, updated
 from tracker_kalman.sigma_points import PointSet, Scaled, point_set
 
@@ -49,7 +49,7 @@ class PosteriorLinearisationFilter:
         those of kind "filter"; iterating a linear update changes nothing.
     """
 
-    iterations: int = attrs.field(default=3)
+    iterations: int = attrs.field(default=3, validator=at_least(1, "filter 'iplf'"))
     points: PointSet = attrs.field(factory=Scaled, converter=point_set)
     floor: float | None = attrs.field(default=None)
 
@@ -59,18 +59,6 @@ class PosteriorLinearisationFilter:
     @floor.validator
     def _small(self, _attribute: object, floor: float | None) -> None:
         check_floor(floor)
-
-    @iterations.validator
-    def _at_least_once(self, _attribute: object, value: Any) -> None:
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise DomainError(
-                wording(
-                    "parameter 'iterations'",
-                    got=repr(value),
-                    expected="an integer of at least 1",
-                    do="pass 1 for the plain sigma-point filter, 2 to 10 to iterate",
-                )
-            )
 
     @property
     def _first(self) -> SigmaPointFilter:
@@ -98,7 +86,6 @@ class PosteriorLinearisationFilter:
         after, innovation = self._first.update(state, sensor, z, pose, projection)
         if getattr(sensor, "linear", False):
             return after, innovation
-        flags = sensor.state.circular
         last = innovation
         for _ in range(self.iterations - 1):
             root = factor(after.cov)
@@ -107,7 +94,7 @@ class PosteriorLinearisationFilter:
             noise = seen.cov - congruence(A, after.cov)  # Omega + R
             if self.floor is not None and seen.rule.negative:
                 noise = raised(noise, self.floor)
-            back = residual(state.mean, after.mean, flags if any(flags) else False)
+            back = residual(state.mean, after.mean, sensor.state.circular)
             AP = product(A, state.cov)
             fitted = Projection(
                 seen.mean + apply(A, back), symmetric_product(AP, A) + noise, transpose(AP)

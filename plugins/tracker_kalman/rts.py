@@ -66,7 +66,7 @@ def regressed(
     Shapes:
         G ``(n, n, *batch)``; moments as in `RauchTungStriebel.step`.
     """
-    ahead = residual(smoothed.mean, predicted.mean, _circular(motion))
+    ahead = residual(smoothed.mean, predicted.mean, motion.space.circular)
     return Gaussian.trusted(
         filtered.mean + apply(G, ahead),
         filtered.cov + congruence(G, smoothed.cov - predicted.cov),
@@ -94,8 +94,3 @@ def backwards(smoother: Any, history: History, motion: MotionModel) -> History:
             state = belief.moments()
             mean[k], cov[k] = state.mean, state.cov
     return attrs.evolve(history, smoothed=Trajectory(mean, cov))
-
-
-def _circular(motion: MotionModel) -> bool | tuple[bool, ...]:
-    flags = motion.space.circular
-    return flags if any(flags) else False

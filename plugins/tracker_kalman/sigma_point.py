@@ -111,8 +111,7 @@ def through_motion(
     values = motion.f(spread(mean, root, rule.places[:n]), dt, u, t)
     if augmented:
         values = values + _noise(mean, Q, rule.places[n : 2 * n])
-    flags = motion.space.circular
-    d = residual(values, centre[:, None], flags if any(flags) else False)
+    d = residual(values, centre[:, None], motion.space.circular)
     ahead = weighted_mean(d, rule.mean)
     return Transformed(centre + ahead, d - ahead[:, None], root, rule, None if augmented else Q)
 

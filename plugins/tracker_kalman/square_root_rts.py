@@ -68,8 +68,7 @@ class SquareRootRauchTungStriebel:
         G = transpose(whiten_across(before, product(half, transpose(L))))
         left = L - product(G, FL)
         root = triangularise(beside(left, product(G, noise), product(G, smoothed.root)))
-        flags = motion.space.circular
-        ahead = residual(smoothed.mean, predicted.mean, flags if any(flags) else False)
+        ahead = residual(smoothed.mean, predicted.mean, motion.space.circular)
         return SquareRootGaussian(filtered.mean + apply(G, ahead), root)
 
     def smooth(self, history: History, motion: MotionModel) -> History:

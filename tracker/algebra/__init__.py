@@ -124,10 +124,10 @@ def residual(z: Any, zhat: Any, circular: bool | tuple[bool, ...]) -> Any:
     """``z - zhat``, in (-pi, pi] where a component lives on a circle.
 
     Shapes:
-        z, zhat ``(m, ...)``; circular: one flag for all components, or one each.
+        z, zhat ``(m, ...)``; circular: one flag for all components, or one each (`Space.circular`).
     """
     difference = z - zhat
-    if circular is False:
+    if circular is False or (circular is not True and True not in circular):
         return difference
     if difference.dtype.hasobject:
         return components.residual(difference, circular)

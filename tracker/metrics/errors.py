@@ -16,8 +16,7 @@ def error(truth: Array, mean: Array, space: Space) -> Array:
     Shapes:
         truth, mean ``(T, n, *batch)``; result alike.
     """
-    flags = space.circular if any(space.circular) else False
-    first = residual(np.moveaxis(mean, 1, 0), np.moveaxis(truth, 1, 0), flags)
+    first = residual(np.moveaxis(mean, 1, 0), np.moveaxis(truth, 1, 0), space.circular)
     return np.moveaxis(first, 0, 1)
 
 

@@ -93,7 +93,7 @@ def _difference(motion: Any) -> Any:
     flags = motion.space.circular
 
     def difference(a: Array, b: Array) -> Any:
-        return residual(a, b, flags if any(flags) else False)
+        return residual(a, b, flags)
 
     return difference
 
