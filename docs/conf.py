@@ -8,6 +8,8 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parent / "plugins")]
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from extensions import pictures
+
 import tracker
 
 project = "tracker"
@@ -50,7 +52,8 @@ sphinx_gallery_conf = {
     "min_reported_time": 1e9,
     "write_computation_times": False,
     "capture_repr": (),
-    "image_scrapers": ("matplotlib",),
+    "image_scrapers": (pictures.vectors,),
+    "reset_modules_order": "both",  # a tutorial's style is its own
     "matplotlib_animations": False,
     "nested_sections": False,
 }

@@ -1,4 +1,4 @@
-"""Pictures of the array convention, drawn while the site is built."""
+"""Pictures of the array convention, drawn while the site is built, and how the gallery keeps its own."""
 
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,13 @@ SHADES = ["#2563a6", "#4f86bd", "#86aed4", "#bdd4ea"]
 INK = ["white", "white", "#111", "#111"]
 NAMES = ["x", "y", "vx", "vy"]
 CODE = {"family": "monospace", "fontsize": 11}
+
+
+def vectors(block: Any, block_vars: Any, gallery_conf: Any) -> str:
+    """What a tutorial has drawn, as SVG: sharp at any size."""
+    from sphinx_gallery.scrapers import matplotlib_scraper
+
+    return str(matplotlib_scraper(block, block_vars, gallery_conf, format="svg"))
 
 
 def _canvas(width: float, height: float) -> tuple[Any, Any]:

@@ -27,4 +27,5 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert len(list(out.glob("_images/sphx_glr_*"))) >= 5, "the tutorials' pictures were not made"
-    assert len(list(out.glob("_images/*.svg"))) == 3, "the pictures of arrays were not drawn"
+    arrays = [p for p in out.glob("_images/*.svg") if not p.name.startswith("sphx_glr_")]
+    assert len(arrays) == 3, "the pictures of arrays were not drawn"
