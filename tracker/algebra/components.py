@@ -19,7 +19,8 @@ from tracker.models.graph import is_zero, plain
 _NORMAL = 2.0**-1022
 
 
-def _dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
+def dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
+    """The sum of products, without those that are zero."""
     out: Any = 0.0
     for u, v in zip(a, b, strict=True):
         if not (is_zero(u) or is_zero(v)):
@@ -59,15 +60,15 @@ def _vector(entries: Iterable[Any]) -> Any:
 
 def congruence(F: Any, P: Any) -> Any:
     half = product(F, P)
-    return _symmetric(len(F), lambda i, j: _dot(half[i], F[j]))
+    return _symmetric(len(F), lambda i, j: dot(half[i], F[j]))
 
 
 def product(H: Any, P: Any) -> Any:
-    return _matrix(len(H), P.shape[1], lambda i, j: _dot(H[i], P[:, j]))
+    return _matrix(len(H), P.shape[1], lambda i, j: dot(H[i], P[:, j]))
 
 
 def symmetric_product(A: Any, H: Any) -> Any:
-    return _symmetric(len(H), lambda i, j: _dot(A[i], H[j]))
+    return _symmetric(len(H), lambda i, j: dot(A[i], H[j]))
 
 
 def residual(difference: Any, circular: bool | tuple[bool, ...]) -> Any:
@@ -87,7 +88,7 @@ def curvature(A: Any, P: Any) -> tuple[Any, Any]:
     AP = [product(matrix, P) for matrix in A]
     transposed = [half.T.ravel() for half in AP]
     bias = _vector(0.5 * _total(half.diagonal()) for half in AP)
-    return bias, _symmetric(len(A), lambda a, c: 0.5 * _dot(AP[a].ravel(), transposed[c]))
+    return bias, _symmetric(len(A), lambda a, c: 0.5 * dot(AP[a].ravel(), transposed[c]))
 
 
 def spread(L: Any, points: Any) -> Any:
@@ -100,7 +101,7 @@ def weighted_mean(d: Any, weights: Any) -> Any:
 
 def weighted(d: Any, weights: Any) -> Any:
     scaled = [[w * e for w, e in zip(weights.tolist(), row, strict=True)] for row in d]
-    return _symmetric(len(d), lambda i, j: _dot(scaled[i], d[j]))
+    return _symmetric(len(d), lambda i, j: dot(scaled[i], d[j]))
 
 
 def _factors(S: Any) -> tuple[list[list[Any]], list[Any]]:
@@ -126,9 +127,9 @@ def _eliminated(S: Any, a: int, rows: list[list[Any]], inverse: list[Any]) -> tu
     scaled: list[Any] = []  # of L D
     row: list[Any] = []
     for b in range(a):
-        scaled.append(S[a, b] - _dot(scaled, rows[b]))
+        scaled.append(S[a, b] - dot(scaled, rows[b]))
         row.append(plain(scaled[b] * inverse[b]))
-    return row, S[a, a] - _dot(scaled, row)
+    return row, S[a, a] - dot(scaled, row)
 
 
 def factor(P: Any) -> Any:
@@ -137,8 +138,8 @@ def factor(P: Any) -> Any:
     inverse: list[Any] = []
     for a in range(n):
         for b in range(a):
-            out[a, b] = plain((P[a, b] - _dot(out[a, :b], out[b, :b])) * inverse[b])
-        pivot = P[a, a] - _dot(out[a, :a], out[a, :a])
+            out[a, b] = plain((P[a, b] - dot(out[a, :b], out[b, :b])) * inverse[b])
+        pivot = P[a, a] - dot(out[a, :a], out[a, :a])
         if is_zero(pivot):
             inverse.append(0.0)
             continue
@@ -154,7 +155,7 @@ def _forward(rows: list[list[Any]], columns: list[Any]) -> list[Any]:
     """Rows of L^-1 B, given the rows of B."""
     out: list[Any] = []
     for a, column in enumerate(columns):
-        out.append([plain(e - _dot(rows[a], [w[i] for w in out])) for i, e in enumerate(column)])
+        out.append([plain(e - dot(rows[a], [w[i] for w in out])) for i, e in enumerate(column)])
     return out
 
 
@@ -166,7 +167,7 @@ def gain(cross: Any, S: Any) -> Any:
     for a in reversed(range(m)):
         later = range(a + 1, m)
         for i in range(n):
-            known = _dot([rows[b][a] for b in later], [out[i, b] for b in later])
+            known = dot([rows[b][a] for b in later], [out[i, b] for b in later])
             out[i, a] = plain(ahead[a][i] * inverse[a] - known)
     return out
 
@@ -174,7 +175,7 @@ def gain(cross: Any, S: Any) -> Any:
 def mahalanobis(v: Any, S: Any) -> Any:
     rows, inverse = _factors(S)
     y = [row[0] for row in _forward(rows, [[e] for e in v])]
-    return _dot(y, [u * r for u, r in zip(y, inverse, strict=True)])
+    return dot(y, [u * r for u, r in zip(y, inverse, strict=True)])
 
 
 def without_missing(S: Any, cross: Any, v: Any) -> tuple[Any, Any]:
@@ -212,10 +213,10 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     ahead = _forward(rows, [list(cross[:, k]) for k in range(m)])
     column = [[w[i] for w in ahead] for i in range(n)]
     over = [[plain(w * r) for w, r in zip(column[i], inverse, strict=True)] for i in range(n)]
-    new = [mean[i] + _dot(column[i], scaled) for i in range(n)]
+    new = [mean[i] + dot(column[i], scaled) for i in range(n)]
     updated = None
     if cov is not None:
-        updated = _symmetric(n, lambda i, j: cov[i, j] - _dot(over[i], column[j]))
+        updated = _symmetric(n, lambda i, j: cov[i, j] - dot(over[i], column[j]))
         # A variance of which little but rounding is left; a negative one was lost before.
         pairs = zip(cov.diagonal(), updated.diagonal(), strict=True)
         margins = [
@@ -230,7 +231,7 @@ def condition(mean: Any, cov: Any, v: Any, S: Any, cross: Any) -> tuple[Any, ...
     for e in new:
         total = total + e
     # NaN in a lane whose mean is not finite (0 * total would vanish from the graph)
-    nis = where(less(absolute(total), math.inf), _dot(y, scaled), math.nan)
+    nis = where(less(absolute(total), math.inf), dot(y, scaled), math.nan)
     loglik = -0.5 * (nis + (logarithm + log(determinant)) + LOG_TAU * count)
     return _vector(new), updated, nis, loglik, count
 

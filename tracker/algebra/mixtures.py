@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tracker.algebra import components, lanes
-from tracker.algebra.components import _dot, _symmetric
+from tracker.algebra.components import _symmetric, dot
 from tracker.models.functions import less, where
 from tracker.models.graph import plain
 
@@ -81,12 +81,12 @@ def _on_components(mean: Any, cov: Any, weights: Any, flags: tuple[bool, ...], a
         from_there = components.residual(mean - near[:, None], flags)
         centre = np.empty(n, dtype=object)
         for i in range(n):
-            centre[i] = plain(near[i] + _dot(weights, from_there[i]))
+            centre[i] = plain(near[i] + dot(weights, from_there[i]))
     apart = components.residual(mean - centre[:, None], flags)
     scaled = [[plain(w * d) for w, d in zip(weights, row, strict=True)] for row in apart]
 
     def entry(i: int, j: int) -> Any:
-        within = _dot(weights, cov[i, j])
-        return within + _dot(scaled[i], apart[j])
+        within = dot(weights, cov[i, j])
+        return within + dot(scaled[i], apart[j])
 
     return centre, _symmetric(n, entry)

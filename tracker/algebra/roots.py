@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracker.algebra.lanes import LOG_TAU
+from tracker.algebra.solving import dot
 from tracker.models.functions import absolute, isnan, less, log, sqrt, where
 from tracker.models.graph import is_zero, plain
 
@@ -44,7 +45,7 @@ def triangularise(A: Any) -> Any:
     rows = [A[i] for i in range(n)]
     L = np.zeros((n, n, *A.shape[2:]), dtype=A.dtype)
     for i in range(n):
-        square = _dot(rows[i], rows[i])
+        square = dot(rows[i], rows[i])
         if is_zero(square):
             continue
         size = sqrt(square)
@@ -53,20 +54,10 @@ def triangularise(A: Any) -> Any:
         inverse = 1.0 / where(less(0.0, size), size, where(isnan(size), size, math.inf))
         direction = rows[i] * inverse
         for j in range(i + 1, n):
-            along = _dot(rows[j], direction)
+            along = dot(rows[j], direction)
             L[j, i] = plain(along)
             rows[j] = rows[j] - along * direction
     return L
-
-
-def _dot(a: Any, b: Any) -> Any:
-    if not a.dtype.hasobject:
-        return np.einsum("k...,k...->...", a, b)
-    total: Any = 0.0
-    for u, v in zip(a, b, strict=True):
-        if not (is_zero(u) or is_zero(v)):
-            total = total + u * v
-    return total
 
 
 def downdate(L: Any, v: Any) -> Any:

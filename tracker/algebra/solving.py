@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tracker.algebra import components
 from tracker.models.functions import isnan, less, sqrt, where
 from tracker.models.graph import is_zero, plain
 from tracker.types import Columns
@@ -27,19 +28,15 @@ def _reciprocal(pivot: Any) -> Any:
     return plain(where(good, 1.0 / where(good, pivot, 1.0), bad))
 
 
-def _dot(a: Any, b: Any) -> Any:
+def dot(a: Any, b: Any) -> Any:
     """Products of leading components, summed: vectors with vectors, or with each column."""
     if not a.dtype.hasobject:
         return np.einsum("k...,k...->..." if a.ndim == b.ndim else "k...,kl...->l...", a, b)
     if b.ndim > 1:
         out = np.empty(b.shape[1], dtype=object)
-        out[:] = [_dot(a, b[:, c]) for c in range(b.shape[1])]
+        out[:] = [components.dot(a, b[:, c]) for c in range(b.shape[1])]
         return out
-    total: Any = 0.0
-    for u, v in zip(a, b, strict=True):
-        if not (is_zero(u) or is_zero(v)):
-            total = total + u * v
-    return plain(total)
+    return components.dot(a, b)
 
 
 def whiten(L: Any, B: Any) -> Any:
@@ -104,13 +101,13 @@ def solve(A: Any, B: Any) -> Any:
     upper: list[list[Any]] = []
     seen: list[Any] = []
     for j in range(n):
-        size = plain(sqrt(_dot(columns[j], columns[j])))
+        size = plain(sqrt(dot(columns[j], columns[j])))
         direction = columns[j] * _reciprocal(size)
         upper.append([*[0.0] * j, size])
         for i in range(j + 1, n):
-            upper[j].append(_dot(direction, columns[i]))
+            upper[j].append(dot(direction, columns[i]))
             columns[i] = columns[i] - upper[j][i] * direction
-        seen.append(_dot(direction, left))
+        seen.append(dot(direction, left))
         left = left - direction[:, None] * seen[j]
     rows: list[Any] = [None] * n
     for j in reversed(range(n)):
