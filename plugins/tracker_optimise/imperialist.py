@@ -161,17 +161,18 @@ class Imperialist:
         count, lanes = cost.shape
         order = cost.argsort(axis=0, kind="stable")
         ruler = order[: self.imperialists]
-        theirs = np.take_along_axis(cost, ruler, axis=0)
+        theirs = cost.take(_flat(ruler))
         power = np.cumsum(theirs[-1:] - theirs, axis=0)
-        even = np.broadcast_to(np.arange(1.0, self.imperialists + 1.0)[:, None], power.shape)
+        even = np.arange(1.0, self.imperialists + 1.0)[:, None]
         power = np.where(power[-1:] > 0.0, power, even)  # all are equally strong
         colonies = count - self.imperialists
         edges = np.rint(power / power[-1:] * colonies)
         shuffled = variation.permutations(u[:colonies]).astype(np.float64)
-        theirs_now = np.add.reduce(shuffled[:, None] >= edges, axis=1, dtype=np.intp)
+        by_rank = np.empty((count, lanes), dtype=np.intp)
+        by_rank[: self.imperialists] = np.arange(self.imperialists)[:, None]
+        np.add.reduce(shuffled[:, None] >= edges, axis=1, out=by_rank[self.imperialists :])
         empire = np.empty((count, lanes), dtype=np.intp)
-        own = np.broadcast_to(np.arange(self.imperialists)[:, None], ruler.shape)
-        np.put_along_axis(empire, order, np.concatenate([own, theirs_now]), axis=0)
+        empire.put(_flat(order), by_rank)
         return empire, ruler
 
     def _competed(self, cost: Array, empire: Places, ruler: Places, u: Array) -> None:
