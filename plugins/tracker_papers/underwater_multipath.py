@@ -10,8 +10,9 @@ import numpy as np
 
 from tracker.models import ComponentMotion, diagonal, one_of
 from tracker.simulation import Scenario
-from tracker.types import SPATIAL, Gaussian
+from tracker.types import SPATIAL, ArrayLike, Gaussian
 from tracker_sensors.multipath_delays import multipath_delays
+from tracker_sensors.signals import noise_sigma
 from tracker_sensors.stack import stack
 
 KMH = 1.0 / 3.6
@@ -71,13 +72,18 @@ def constant_velocity_step(variance: float) -> ComponentMotion:
     )
 
 
-def hydrophones(channel: Channel, variances: tuple[float, float]) -> Any:
-    """The delays at both hydrophones (eq. 4-14: four of them)."""
-    sigma = [float(np.sqrt(v)) for v in variances]
+def hydrophones(channel: Channel, variances: ArrayLike, speed: float = 1500.0) -> Any:
+    """The delays at both hydrophones (eq. 4-14: four of them).
+
+    ``variances`` are those of surface and bottom path, alike at both, or a row for each.
+    """
+    sigma = np.broadcast_to(np.sqrt(np.asarray(variances, dtype=float)), (2, 2)).tolist()
     return stack(
         [
-            multipath_delays(sigma, depth=channel.depth, height=channel.height).at(sx=x, sy=y, sz=z)
-            for x, y, z in channel.places
+            multipath_delays(each, depth=channel.depth, height=channel.height, speed=speed).at(
+                sx=x, sy=y, sz=z
+            )
+            for each, (x, y, z) in zip(sigma, channel.places, strict=True)
         ]
     )
 
@@ -88,6 +94,8 @@ def underwater_multipath(
     truth_noise: bool = True,
     speed_unit: str = "kmh",
     told: bool = False,
+    speed: Annotated[float, "m/s"] = 1500.0,
+    snr: Annotated[float | None, "dB"] = None,
     steps: Annotated[int, "1"] = 500,
 ) -> Scenario:
     """A target under water seen by four echo delays, whose noise the filter is told wrongly.
@@ -96,26 +104,35 @@ def underwater_multipath(
     1e-2. Its first estimate is 10 m off in y and in z where its covariance says 1 m: the thesis'
     numbers. ``preset`` is a reading of the geometry (`PRESETS`), ``speed_unit`` one of the speeds.
     ``truth_noise`` False: the target itself is not disturbed, while the filter assumes so. With
-    ``told`` the filter is told the true R.
+    ``told`` the filter is told the true R. ``speed`` is that of sound, known to the filter:
+    `tracker_sensors.sound_speed` has it by temperature, salinity and depth. ``snr`` takes the place
+    of the true R, as block 4 of figure 4-3 has it: each delay's noise is so far below the RMS of
+    that delay over the path of an undisturbed target. The thesis' 20 dB are those of its R for the
+    surface path; those of the bottom path are far lower.
 
-    Units: m, m/s, s; a step is a second, whatever dt.
+    Units: m, m/s, s, dB; a step is a second, whatever dt.
 
     Raises:
-        DomainError: for another preset or unit.
+        DomainError: for another preset or unit, or a speed of sound that is not positive.
     Source: paper 4, eq. 4-9 to 4-14 and 4-34 to 4-38; Table 4-1.
     """
     one_of("preset", preset, tuple(PRESETS))
     one_of("speed_unit", speed_unit, tuple(SPEED_UNITS))
     channel, scale = PRESETS[preset], np.array([1.0] * 3 + [SPEED_UNITS[speed_unit]] * 3)
+    t, start, true = np.arange(1.0, steps + 1.0), scale * START, np.array([TRUE_R] * 2)
+    if snr is not None:
+        path = np.concatenate([start[:3, None] + start[3:, None] * t, np.zeros((3, steps))])
+        delays = hydrophones(channel, TRUE_R, speed).h(path)
+        true = noise_sigma(delays.T, snr).reshape(2, 2) ** 2
     return Scenario(
         name=f"underwater_multipath ({preset})",
         motion=constant_velocity_step(PROCESS_VARIANCE),
-        sensor=hydrophones(channel, TRUE_R if told else TOLD_R),
+        sensor=hydrophones(channel, true if told else TOLD_R, speed),
         truth_motion=constant_velocity_step(PROCESS_VARIANCE if truth_noise else 0.0),
-        truth_sensor=hydrophones(channel, TRUE_R),
+        truth_sensor=hydrophones(channel, true, speed),
         prior=Gaussian(scale * GUESS, np.eye(6)),
-        start=scale * START,
+        start=start,
         initial="fixed",
-        t=np.arange(1.0, steps + 1.0),
+        t=t,
         summary="two hydrophones, delays of echoes",
     )
