@@ -279,7 +279,8 @@ class Smoother(Protocol):
     predicted at k + 1 and the smoothed belief there to the smoothed belief at k. The belief is a Gaussian,
     or what its method ``begin(filtered)`` makes of the last filtered moments: a value as that of a filter
     (`HasBegin`), with ``moments()``. One that needs the beliefs of a filter may say in ``follows`` which
-    registered filter leaves such.
+    registered filter leaves such, and have a method ``why_not_after(filter)`` that says in words why it
+    cannot follow another, '' if it can.
 
     Laws: the last step equals the filter; in the linear-Gaussian case the result is the batch
     least-squares solution.

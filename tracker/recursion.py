@@ -78,7 +78,9 @@ def unseen(filter_: Any, motion: Any, smoother: Any = None) -> str:
 
 
 def why_unsmoothable(filter_: Any, motion: Any, smoother: Any) -> str:
-    """Why a smoother cannot follow a filter that draws random numbers, or ''."""
+    """Why a smoother cannot follow a filter: it says so itself, or would see moments of draws; or ''."""
+    if hasattr(smoother, "why_not_after") and (why := smoother.why_not_after(filter_)):
+        return str(why)
     more = _beyond(filter_, motion, smoother) if is_random(filter_) else ""
     if not more:
         return ""

@@ -6,14 +6,17 @@ On line, one measurement after the other, it is `tracker.FixedLag`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import attrs
 import numpy as np
 
+from tracker.errors import CapabilityError, wording
 from tracker.late import whole_steps
 from tracker.protocols import MotionModel
 from tracker.types import Gaussian, History, Trajectory
+from tracker_kalman.mixture import made
 from tracker_kalman.rts import RauchTungStriebel, begun
 
 MOST = 32
@@ -28,7 +31,29 @@ class Windows:
 
     def moments(self) -> Gaussian:
         """Those of the window that ends last."""
-        return self.members[-1].moments()  # type: ignore[no-any-return]
+        last: Gaussian = self.members[-1].moments()
+        return last
+
+
+def stepwise(value: Any) -> Any:
+    """A smoother, itself or by its name, that goes back step by step and needs no beliefs.
+
+    Raises:
+        CapabilityError: for another.
+    """
+    smoother = made(value, "smoother")
+    needs_beliefs = "beliefs" in getattr(smoother, "needs", ())
+    if needs_beliefs or not hasattr(smoother, "step"):
+        lacks = "which needs a filter's beliefs" if needs_beliefs else "which has no method 'step'"
+        raise CapabilityError(
+            wording(
+                "parameter 'smoother'",
+                got=f"{type(smoother).__name__}, {lacks}",
+                expected="a smoother that goes back step by step from moments",
+                do="pass 'rts', 'sigma_point_rts', 'square_root_rts' or 'two_filter'",
+            )
+        )
+    return smoother
 
 
 @attrs.frozen
@@ -36,12 +61,13 @@ class FixedLagSmoother:
     """Smooths each step with the ``lag`` steps that follow it, as a system on line could, later.
 
     A lag of zero is the filter; a lag of the record's length or more is the fixed-interval smoother.
-    ``smoother`` makes the single steps backwards: any smoother with a method ``step``, such as
-    `RauchTungStriebel`. All windows that hold a step are worked at once, as one more batch axis, and
+    ``smoother`` makes the single steps backwards: any smoother of moments with a method ``step``, such as
+    `RauchTungStriebel`, or the name of one. All windows that hold a step are worked at once, as one more batch axis, and
     share its gain.
 
     Raises:
         DomainError: if the lag is no whole number of steps, zero or more.
+        CapabilityError: if the smoother does not go back step by step from moments.
     Reference: Särkkä (2013), Bayesian Filtering and Smoothing, section 10.5; Anderson and Moore (1979),
         Optimal Filtering, section 7.3.
     Laws: those of kind "smoother" where the lag is as long as the record; each estimate is the
@@ -49,7 +75,7 @@ class FixedLagSmoother:
     """
 
     lag: int = attrs.field(default=10)
-    smoother: Any = attrs.field(factory=RauchTungStriebel)
+    smoother: Any = attrs.field(factory=RauchTungStriebel, converter=stepwise)
 
     @lag.validator
     def _not_negative(self, _attribute: object, lag: int) -> None:
@@ -65,8 +91,6 @@ class FixedLagSmoother:
         """Why its step cannot be compiled, or ''."""
         if self.lag > MOST:
             return f"a lag of {self.lag} steps is too long to unroll (at most {MOST})"
-        if not hasattr(self.smoother, "step"):
-            return f"{type(self.smoother).__name__} has no step"
         return str(getattr(self.smoother, "why_opaque", ""))
 
     def begin(self, filtered: Gaussian) -> Windows:
@@ -96,6 +120,7 @@ class FixedLagSmoother:
         mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
         last, axes = len(history) - 1, len(filtered.batch)
         windows: Any = None  # as a set before the batch; the one that ends last, first
+        count = 0
         with np.errstate(all="ignore"):
             for k in range(last, -1, -1):
                 own = _set_of_one(filtered.at(k))
@@ -106,15 +131,17 @@ class FixedLagSmoother:
                         own, ahead, windows, motion, t[k + 1] - t[k], u, t[k]
                     )
                 if windows is None:
-                    windows = begun(self.smoother, own)
+                    windows, count = begun(self.smoother, own), 1
                 elif k >= self.lag:  # no window of interest ends at other steps
                     new = begun(self.smoother, own)
-                    windows = _on_sets(axes, _joined, windows, new)
+                    windows = _on_sets(axes, partial(_joined, count), windows, new)
+                    count += 1
                 state = windows.moments()
                 mean[k], cov[k] = state.mean[:, 0], state.cov[:, :, 0]
                 if k + self.lag <= last:  # the first window is needed no more
                     none = k == 0 or self.lag == 0
-                    windows = None if none else _on_sets(axes, _rest, windows)
+                    windows = None if none else _on_sets(axes, partial(_rest, count), windows)
+                    count -= 1
         return attrs.evolve(history, smoothed=Trajectory(mean, cov))
 
 
@@ -122,13 +149,16 @@ def _set_of_one(state: Gaussian) -> Gaussian:
     return Gaussian.trusted(state.mean[:, None], state.cov[:, :, None])
 
 
-def _joined(at: int, some: Any, more: Any) -> Any:
-    """Sets on axis ``at``, one after the other; a belief may share a value among its windows."""
+def _joined(count: int, at: int, some: Any, more: Any) -> Any:
+    """Sets on axis ``at``, one after the other; the first has ``count`` windows, or one value for all."""
+    if some.shape[at] != count:
+        some = np.repeat(some, count, axis=at)
     return np.concatenate([some, more], axis=at)
 
 
-def _rest(at: int, some: Any) -> Any:
-    return some[(slice(None),) * at + (slice(1, None),)]
+def _rest(count: int, at: int, some: Any) -> Any:
+    """All windows but the first; one value for all stays."""
+    return some if some.shape[at] != count else some[(slice(None),) * at + (slice(1, None),)]
 
 
 def _on_sets(axes: int, function: Callable[..., Any], *beliefs: Any) -> Any:

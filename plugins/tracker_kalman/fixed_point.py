@@ -8,9 +8,10 @@ import attrs
 import numpy as np
 
 from tracker.algebra import apply, at_once, congruence, product, residual
-from tracker.errors import DomainError, wording
+from tracker.errors import CapabilityError, DomainError, wording
 from tracker.protocols import MotionModel
 from tracker.types import Gaussian, History, Trajectory
+from tracker_kalman.mixture import made
 from tracker_kalman.rts import RauchTungStriebel
 
 
@@ -37,12 +38,25 @@ class FixedPoint:
     def begin(cls, filtered: Gaussian, smoother: Any = None) -> FixedPoint:
         """From the filtered state of the time of interest.
 
-        ``smoother`` gives the gains: one with a method ``gain``, by default `RauchTungStriebel`.
+        ``smoother`` gives the gains: one with a method ``gain`` or its name, by default `RauchTungStriebel`.
+
+        Raises:
+            CapabilityError: if it has none.
         """
+        rule = RauchTungStriebel() if smoother is None else made(smoother, "smoother")
+        if not hasattr(rule, "gain"):
+            raise CapabilityError(
+                wording(
+                    "argument 'smoother'",
+                    got=f"{type(rule).__name__}, which has no method 'gain'",
+                    expected="a smoother that tells its gains",
+                    do="pass 'rts' or 'sigma_point_rts'",
+                )
+            )
         n = len(filtered.mean)
         unit = np.eye(n).reshape(n, n, *(1,) * (filtered.mean.ndim - 1))
         unit = np.broadcast_to(unit, filtered.cov.shape)
-        return cls(filtered.mean, filtered.cov, unit, smoother or RauchTungStriebel())
+        return cls(filtered.mean, filtered.cov, unit, rule)
 
     def moments(self) -> Gaussian:
         """Mean and covariance of the state at the fixed time."""
@@ -61,8 +75,7 @@ class FixedPoint:
         """One step of the filter later: filtered at k, then predicted and filtered at k + 1."""
         G = self.smoother.gain(before, predicted, motion, dt, u, t)
         B = product(self.regression, G)
-        flags = motion.space.circular
-        news = residual(filtered.mean, predicted.mean, flags if any(flags) else False)
+        news = residual(filtered.mean, predicted.mean, motion.space.circular)
         return FixedPoint(
             self.mean + apply(B, news),
             self.cov + congruence(B, filtered.cov - predicted.cov),
@@ -83,6 +96,7 @@ class FixedPoint:
 
         Raises:
             DomainError: if the history has no such step.
+            CapabilityError: if the smoother has no method ``gain``.
 
         Example:
         >>> import tracker as tk

@@ -12,12 +12,15 @@ from tracker.algebra import at_once, residual
 from tracker.errors import CapabilityError, wording
 from tracker.models.parameters import lanes_of_component
 from tracker.protocols import MotionModel
-from tracker.recursion import lanes_of
+from tracker.recursion import is_random, lanes_of
 from tracker.types import Array, History, Trajectory
 from tracker_particle import draws
 from tracker_particle.belief import Particles, moments
 from tracker_particle.parameters import a_count
 from tracker_particle.propagation import factored
+
+NAME = "backward_simulation"
+"""As registered: a filter whose particles it can go back through has it among its ``smoothers``."""
 
 _SAME = 1e-9
 
@@ -49,6 +52,19 @@ class BackwardSimulation:
 
     needs = ("beliefs",)
     follows = "bootstrap"
+
+    def why_not_after(self, filter_: Any) -> str:
+        """In words, why it cannot follow a filter; '' if it can, or nobody knows."""
+        known = (NAME,) if is_random(filter_) else ()
+        if NAME in getattr(filter_, "smoothers", known):
+            return ""
+        name = type(filter_).__name__
+        return wording(
+            f"smoother {type(self).__name__} after filter {name}",
+            got="beliefs that are no particles with weights alone",
+            expected="those of the filters 'bootstrap', 'auxiliary' or 'regularised'",
+            do="use one of these, or leave the smoother out",
+        )
 
     def smooth(self, history: History, motion: MotionModel) -> History:
         """The history with its ``smoothed`` trajectory."""

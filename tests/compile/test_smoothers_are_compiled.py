@@ -33,6 +33,7 @@ RULES = {
     "lag 4": FixedLagSmoother(4),
     "lag 4 of points": FixedLagSmoother(4, SigmaPointRauchTungStriebel()),
     "lag 4 of roots": FixedLagSmoother(4, SquareRootRauchTungStriebel()),
+    "lag 4 of two filters": FixedLagSmoother(4, TwoFilterSmoother()),
     "lag beyond the record": FixedLagSmoother(30),
 }
 EVERY = pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
@@ -163,6 +164,16 @@ class Stranger:
         return attrs.evolve(history, smoothed=history.filtered)
 
 
+@attrs.frozen
+class Whole:
+    """A smoother that takes the record as a whole."""
+
+    needs = ()
+
+    def smooth(self, history, _motion):
+        return attrs.evolve(history, smoothed=history.filtered)
+
+
 @compiled
 @pytest.mark.parametrize(
     ("rule", "why"),
@@ -170,7 +181,7 @@ class Stranger:
         (FixedLagSmoother(MOST + 1), f"a lag of {MOST + 1} steps is too long to unroll"),
         (FixedLagSmoother(3, Stranger()), "cannot be carried: .*carries dict"),
         (Stranger(), "cannot be carried: .*carries dict"),
-        (tk.smoothers.make("backward_simulation"), "no step over components"),
+        (Whole(), "no step over components"),
     ],
 )
 def test_what_cannot_be_compiled_says_why(monkeypatch, rule, why):

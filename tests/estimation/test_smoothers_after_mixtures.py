@@ -8,7 +8,7 @@ import tracker as tk
 from tracker import estimation
 from tracker.errors import CapabilityError
 from tracker.recursion import joined, lanes_of
-from tracker_kalman import ModeSmoother
+from tracker_kalman import FixedPoint, ModeSmoother
 from tracker_motion import constant_velocity, switching
 from tracker_sensors import position
 
@@ -174,3 +174,50 @@ def test_beliefs_that_were_parted_are_joined_again():
     assert again.shared.shape == (2, 1)
     np.testing.assert_array_equal(again.more[0], whole.more[0])
     assert (again.more[1], again.name) == (None, "a")
+
+
+@pytest.mark.parametrize("rule", ["marginalised", "ekf1"])
+def test_backward_simulation_is_refused_where_there_are_no_particles_to_go_back_through(rule):
+    with pytest.raises(CapabilityError, match=r"got beliefs that are no particles.*'bootstrap'"):
+        tk.estimator(rule, motion=CALM, sensor=position(1.0), smoother="backward_simulation")
+
+
+# ---------------------------------------------------------------- smoothers within smoothers
+@pytest.mark.parametrize("name", ["rts", "sigma_point_rts", "square_root_rts", "two_filter"])
+def test_a_fixed_lag_smoother_knows_those_inside_by_their_names(name):
+    by_name = tk.smoothers.make("fixed_lag", lag=3, smoother=name)
+    assert by_name == tk.smoothers.make("fixed_lag", lag=3, smoother=tk.smoothers.make(name))
+    tk.smooth(built("kf", by_name, CALM), record(), PRIOR)
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.parametrize("lag", [1, 2, 3, 5, 20])
+@pytest.mark.parametrize("name", ["sigma_point_rts", "square_root_rts", "two_filter"])
+def test_whatever_is_inside_a_lag_gives_the_same_estimates(name, lag, batch, monkeypatch):
+    monkeypatch.setenv("TRACKER_COMPILE", "off")
+    found = [
+        tk.smooth(
+            built("kf", tk.smoothers.make("fixed_lag", lag=lag, smoother=inside), CALM),
+            record(batch),
+            PRIOR,
+        ).smoothed
+        for inside in ("rts", name)
+    ]
+    np.testing.assert_allclose(found[1].mean, found[0].mean, atol=1e-9)
+    np.testing.assert_allclose(found[1].cov, found[0].cov, atol=1e-9)
+
+
+@pytest.mark.parametrize("inside", [ModeSmoother(), "imm_smoother", "backward_simulation"])
+def test_a_fixed_lag_smoother_refuses_one_that_takes_no_steps_from_moments(inside):
+    with pytest.raises(CapabilityError, match="expected a smoother that goes back step by step"):
+        tk.smoothers.make("fixed_lag", lag=5, smoother=inside)
+
+
+def test_a_fixed_point_refuses_a_smoother_without_gains_and_knows_one_by_its_name():
+    history = tk.filter(built("kf", None, CALM), record((3,)), PRIOR)
+    for name in ("square_root_rts", "two_filter"):
+        for rule in (name, tk.smoothers.make(name)):
+            with pytest.raises(CapabilityError, match=r"which has no method 'gain'.*pass 'rts'"):
+                FixedPoint.along(history, CALM, 0, rule)
+    found = FixedPoint.along(history, CALM, 0, "rts")
+    assert np.array_equal(found.mean, FixedPoint.along(history, CALM, 0).mean)
