@@ -43,7 +43,7 @@ class Union:
     @property
     def area(self) -> Array:
         """Area under the union, ``(*batch)``."""
-        return self._areas.sum(axis=0)  # type: ignore[no-any-return]
+        return np.asarray(self._areas.sum(axis=0))
 
     @property
     def _areas(self) -> Array:
@@ -93,7 +93,8 @@ class Union:
         middle = 0.5 * (self.edges[:, 0] + self.edges[:, 1])
         mean = np.where(width.sum(axis=0) > 0, _ratio((width * middle).sum(axis=0), width.sum(axis=0)),
                         0.5 * (low + high))  # fmt: skip
-        return tuple(np.where(none, np.nan, v) for v in (mean, low, high))  # type: ignore[return-value]
+        mean, low, high = (np.where(none, np.nan, v) for v in (mean, low, high))
+        return mean, low, high
 
 
 def _ratio(a: Any, b: Any) -> Array:

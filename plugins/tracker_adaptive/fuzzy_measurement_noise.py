@@ -102,7 +102,8 @@ class FuzzyMeasurementNoise:
 
     def with_parameters(self, **parameters: Any) -> FuzzyMeasurementNoise:
         """The same adapter with other numbers."""
-        return replaced(self, OWN, parameters, "system")  # type: ignore[no-any-return]
+        made: FuzzyMeasurementNoise = replaced(self, OWN, parameters, "system")
+        return made
 
     @property
     def structure(self) -> tuple[Any, ...]:

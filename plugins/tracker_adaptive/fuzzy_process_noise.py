@@ -181,7 +181,8 @@ class FuzzyProcessNoise:
 
     def with_parameters(self, **parameters: Any) -> FuzzyProcessNoise:
         """The same adapter with other numbers."""
-        return replaced(self, OWN, parameters, "system")  # type: ignore[no-any-return]
+        made: FuzzyProcessNoise = replaced(self, OWN, parameters, "system")
+        return made
 
     @property
     def structure(self) -> tuple[Any, ...]:

@@ -129,10 +129,11 @@ def _set(terms: Table, term: str) -> FuzzySet:
             return SampledSet(both.numbers("at", count), both.numbers("membership", count, of=of))
         names = list(SETS[kind].__annotations__)
         names = [name for name in names if name != "kind"]
-        return SETS[kind](*one.numbers(kind, len(names), of=", ".join(names)))  # type: ignore[no-any-return]
+        made: FuzzySet = SETS[kind](*one.numbers(kind, len(names), of=", ".join(names)))
     except DomainError as error:
         raise one.error(kind, got=f"no such set ({error})", expected="numbers that fit",
                         do="check their order and signs") from None  # fmt: skip
+    return made
 
 
 def _read(one: Table, key: str) -> Antecedent:

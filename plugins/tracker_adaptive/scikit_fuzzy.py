@@ -176,11 +176,11 @@ def _set(x: Any, y: Any) -> FuzzySet:
             else inside[-1]
         )
         corners = float(left), inside[0], inside[-1], float(right)
-        made: Any = (
+        made: FuzzySet = (
             TriangularSet(corners[0], corners[1], corners[3])
             if inside[0] == inside[-1]
             else TrapezoidalSet(*corners)
         )
         if np.allclose(made.membership(x), y, rtol=0.0, atol=1e-12):
-            return made  # type: ignore[no-any-return]
+            return made
     return SampledSet(places, values)

@@ -25,9 +25,10 @@ from tracker.algebra.lanes import LEAST
 from tracker.models import absolute, isnan, less, maximum, sqrt, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import PARAMETER, Gaussian, Innovation, Projection
+from tracker_adaptive.mismatch import diagonal_of
 from tracker_adaptive.noisy_belief import room_for, within
 from tracker_adaptive.settings import between
-from tracker_kalman.inner import conditioning_filter
+from tracker_kalman.inner import conditioning_filter, needs_of_inner, tags_of_inner
 
 OWNER = "filter 'smooth_variable_structure'"
 
@@ -98,15 +99,7 @@ class SmoothVariableStructure:
         default=0.3, validator=between(0.0, 1.0 + 1e-12, OWNER), metadata=PARAMETER
     )
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """What its inner filter needs."""
-        return tuple(self.inner.needs)
-
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """What its inner filter says of itself."""
-        return tuple(getattr(self.inner, "tags", ()))
+    needs, tags = needs_of_inner, tags_of_inner
 
     def begin(self, prior: Any, *, sensors: Sequence[Any] | None = None) -> WithResidual:
         """The given state; no residual yet."""
@@ -123,7 +116,8 @@ class SmoothVariableStructure:
 
     def project(self, state: WithResidual, sensor: SensorModel, pose: Any = None) -> Projection:
         """As its inner filter."""
-        return self.inner.project(state.state, sensor, pose)  # type: ignore[no-any-return]
+        seen: Projection = self.inner.project(state.state, sensor, pose)
+        return seen
 
     def update(
         self,
@@ -143,7 +137,7 @@ class SmoothVariableStructure:
         S, cross = without_missing(seen.S, seen.cross, v)
         R, _ = without_missing(sensor.R(now.mean, pose), seen.cross, v)
         e = np.asarray(where(missing, 0.0, v))
-        width = sqrt(_diagonal(R)) * self.boundary
+        width = sqrt(diagonal_of(R)) * self.boundary
         part = (absolute(e) + self.convergence * state.left[:m]) / maximum(absolute(e), width)
         known = S - R
         reached = known + R * self.share
@@ -167,7 +161,3 @@ class SmoothVariableStructure:
         told = Innovation(v, seen.S, nis, loglik, count, finite(nis))
         after = Gaussian.trusted(mean, cov)
         return WithResidual(after, np.concatenate([left, state.left[m:]])), told
-
-
-def _diagonal(A: Any) -> Any:
-    return np.stack([A[i, i] for i in range(len(A))])

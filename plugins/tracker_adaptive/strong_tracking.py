@@ -13,7 +13,7 @@ from tracker.models import isnan, less, maximum, minimum, where
 from tracker.protocols import MotionModel, SensorModel
 from tracker.types import PARAMETER, SYMMETRIC, Gaussian, Innovation, Projection
 from tracker_adaptive.settings import between
-from tracker_kalman.inner import gaussian_filter
+from tracker_kalman.inner import gaussian_filter, needs_of_inner, tags_of_inner
 
 OWNER = "filter 'strong_tracking'"
 
@@ -94,15 +94,7 @@ class StrongTracking:
         default=4.0, validator=between(0.0, np.inf, OWNER), metadata=PARAMETER
     )
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """What its inner filter needs."""
-        return tuple(self.inner.needs)
-
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """What its inner filter says of itself."""
-        return tuple(getattr(self.inner, "tags", ()))
+    needs, tags = needs_of_inner, tags_of_inner
 
     def begin(self, prior: Any) -> Faded:
         """The given state; no residual yet."""
@@ -124,7 +116,8 @@ class StrongTracking:
 
     def project(self, state: Faded, sensor: SensorModel, pose: Any = None) -> Projection:
         """As its inner filter, before any inflation: the residual decides about that."""
-        return self.inner.project(state.state, sensor, pose)  # type: ignore[no-any-return]
+        seen: Projection = self.inner.project(state.state, sensor, pose)
+        return seen
 
     def update(
         self,

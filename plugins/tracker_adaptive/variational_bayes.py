@@ -15,7 +15,7 @@ from tracker.protocols import MotionModel, SensorModel
 from tracker.types import PARAMETER, Gaussian, Innovation, Projection
 from tracker_adaptive.noisy_belief import room_for, within
 from tracker_adaptive.settings import between
-from tracker_kalman.inner import at_least, conditioning_filter
+from tracker_kalman.inner import at_least, conditioning_filter, needs_of_inner, tags_of_inner
 from tracker_kalman.reweighted import conditioned_with
 
 OWNER = "filter 'variational_bayes'"
@@ -77,15 +77,7 @@ class VariationalBayes:
     )
     iterations: int = attrs.field(default=3, validator=at_least(1, OWNER))
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """What its inner filter needs."""
-        return tuple(self.inner.needs)
-
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """What its inner filter says of itself."""
-        return tuple(getattr(self.inner, "tags", ()))
+    needs, tags = needs_of_inner, tags_of_inner
 
     def begin(self, prior: Any, *, sensors: Sequence[Any] | None = None) -> WithNoise:
         """The given state, with the sensors' own noise."""
@@ -106,7 +98,8 @@ class VariationalBayes:
 
     def project(self, state: WithNoise, sensor: SensorModel, pose: Any = None) -> Projection:
         """As its inner filter, with the noise known so far."""
-        return self.inner.project(state.state, self._tuned(state, sensor), pose)  # type: ignore[no-any-return]
+        seen: Projection = self.inner.project(state.state, self._tuned(state, sensor), pose)
+        return seen
 
     def _tuned(self, state: WithNoise, sensor: SensorModel) -> SensorModel:
         m = sensor.space.size

@@ -43,7 +43,8 @@ class GaussianSum:
 
     def each(self) -> Gaussian:
         """Means and covariances of the members, over the batch ``(K, *batch)``."""
-        return of_each(lambda member: member.moments(), self.members)  # type: ignore[no-any-return]
+        found: Gaussian = of_each(lambda member: member.moments(), self.members)
+        return found
 
     def moments(self) -> Gaussian:
         """Mean and covariance of the whole."""

@@ -1,4 +1,7 @@
-"""What filters made of other filters take as parameters, and how it is checked; no filter lives here."""
+"""What filters made of other filters take as parameters, how it is checked, and what they leave to those.
+
+No filter lives here.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from tracker.errors import CapabilityError, DomainError, wording
+from tracker.protocols import MotionModel, SensorModel
+from tracker.types import Projection
 
 
 def gaussian_filter(value: Any) -> Any:
@@ -52,6 +57,33 @@ def conditioning_filter(value: Any) -> Any:
             )
         )
     return value
+
+
+# Methods of a filter with a parameter ``inner``; it takes them by name, as ``project = project_as_inner``.
+def _needs(self: Any) -> tuple[str, ...]:
+    """What its inner filter needs."""
+    return tuple(self.inner.needs)
+
+
+def _tags(self: Any) -> tuple[str, ...]:
+    """What its inner filter says of itself."""
+    return tuple(getattr(self.inner, "tags", ()))
+
+
+needs_of_inner, tags_of_inner = property(_needs), property(_tags)
+
+
+def predict_as_inner(
+    self: Any, state: Any, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
+) -> Any:
+    """As its inner filter."""
+    return self.inner.predict(state, motion, dt, u, t)
+
+
+def project_as_inner(self: Any, state: Any, sensor: SensorModel, pose: Any = None) -> Projection:
+    """As its inner filter."""
+    seen: Projection = self.inner.project(state, sensor, pose)
+    return seen
 
 
 def names(value: str | Iterable[str]) -> tuple[str, ...]:

@@ -10,9 +10,16 @@ import numpy as np
 
 from tracker.algebra.gaussian import conditioned
 from tracker.models import isnan, where
-from tracker.protocols import MotionModel, SensorModel
+from tracker.protocols import SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.inner import conditioning_filter, names
+from tracker_kalman.inner import (
+    conditioning_filter,
+    names,
+    needs_of_inner,
+    predict_as_inner,
+    project_as_inner,
+    tags_of_inner,
+)
 
 
 @attrs.frozen
@@ -24,7 +31,8 @@ class SchmidtFilter:
     measurement changes them, but their uncertainty widens the innovation, and their correlation with
     the rest of the state is kept. The others are estimated with the gain that is then the best. It is
     the filter to use where a bias is too weakly observable to be estimated, and too large to be left
-    out. ``inner``: any filter whose belief is a Gaussian, or its name; it predicts and projects.
+    out. ``inner``: any filter whose belief is a Gaussian, or its name; it predicts and projects, so
+    that what is considered moves with the motion and widens S.
 
     A smoother treats the result as if all states had been estimated, and is not optimal.
 
@@ -41,25 +49,8 @@ class SchmidtFilter:
 
     own_update = True
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """What its inner filter needs."""
-        return tuple(self.inner.needs)
-
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """What its inner filter says of itself."""
-        return tuple(getattr(self.inner, "tags", ()))
-
-    def predict(
-        self, state: Any, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
-    ) -> Any:
-        """As its inner filter: what is considered moves and drifts with the motion."""
-        return self.inner.predict(state, motion, dt, u, t)
-
-    def project(self, state: Any, sensor: SensorModel, pose: Any = None) -> Projection:
-        """As its inner filter: what is considered widens S."""
-        return self.inner.project(state, sensor, pose)  # type: ignore[no-any-return]
+    needs, tags = needs_of_inner, tags_of_inner
+    predict, project = predict_as_inner, project_as_inner
 
     def update(
         self,

@@ -71,7 +71,8 @@ class Transformed:
     def cross(self) -> Array:
         """Covariance of the state with the value of the function, ``(n, k, *batch)``."""
         weights = self.rule.cross[:, : len(self.root)]
-        return product(self.root, transpose(weighted_mean(self.deviations, weights)))  # type: ignore[no-any-return]
+        out: Array = product(self.root, transpose(weighted_mean(self.deviations, weights)))
+        return out
 
 
 def rule_for(points: PointSet, n: int, mean: Any) -> SigmaPoints:

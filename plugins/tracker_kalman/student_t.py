@@ -7,9 +7,17 @@ from typing import Any
 import attrs
 
 from tracker.algebra import apply, gain, product
-from tracker.protocols import MotionModel, SensorModel
+from tracker.protocols import SensorModel
 from tracker.types import Gaussian, Innovation, Projection
-from tracker_kalman.inner import at_least, conditioning_filter, positive_number
+from tracker_kalman.inner import (
+    at_least,
+    conditioning_filter,
+    needs_of_inner,
+    positive_number,
+    predict_as_inner,
+    project_as_inner,
+    tags_of_inner,
+)
 from tracker_kalman.reweighted import conditioned_with, trace
 
 
@@ -47,25 +55,8 @@ class StudentTUpdate:
 
     own_update = True
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """What its inner filter needs."""
-        return tuple(self.inner.needs)
-
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """What its inner filter says of itself."""
-        return tuple(getattr(self.inner, "tags", ()))
-
-    def predict(
-        self, state: Any, motion: MotionModel, dt: Any, u: Any = None, t: Any = None
-    ) -> Any:
-        """As its inner filter."""
-        return self.inner.predict(state, motion, dt, u, t)
-
-    def project(self, state: Any, sensor: SensorModel, pose: Any = None) -> Projection:
-        """As its inner filter."""
-        return self.inner.project(state, sensor, pose)  # type: ignore[no-any-return]
+    needs, tags = needs_of_inner, tags_of_inner
+    predict, project = predict_as_inner, project_as_inner
 
     def update(
         self,

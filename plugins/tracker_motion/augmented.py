@@ -107,7 +107,8 @@ def augmented(
         )
     space = Space.of(*components)
     several = isinstance(density, (tuple, list))
-    densities: list[Any] = list(density) if several else [density] * len(space)  # type: ignore[arg-type]
+    given: Any = density
+    densities: list[Any] = list(given) if several else [given] * len(space)
     if len(densities) != len(space) or not len(space):
         raise ShapeError(
             wording(

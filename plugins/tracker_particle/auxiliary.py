@@ -91,7 +91,8 @@ class AuxiliaryFilter:
         """One child of each particle, ``dt`` seconds later."""
         weights = _children(state).log_weights
         if alone.are(weights, motion):
-            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
+            later: Offspring = alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)
+            return later
         parents = _children(state)
         points = parents.points
         G = root(motion.Q(points, dt))

@@ -79,7 +79,8 @@ class BootstrapFilter:
         """Each particle ``dt`` seconds later, after resampling where it is due."""
         weights = state.log_weights
         if alone.are(weights, motion):
-            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
+            later: Particles = alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)
+            return later
         return propagated(resampled(state, self.resampling, self.threshold), motion, dt, u, t)
 
     def project(self, state: Particles, sensor: SensorModel, pose: Any = None) -> Projection:

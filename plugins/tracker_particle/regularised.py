@@ -77,7 +77,8 @@ class RegularisedFilter:
         """Each particle ``dt`` seconds later, after resampling and spreading where it is due."""
         weights = state.log_weights
         if alone.are(weights, motion):
-            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
+            later: Particles = alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)
+            return later
         return propagated(self._renewed(state), motion, dt, u, t)
 
     def project(self, state: Particles, sensor: SensorModel, pose: Any = None) -> Projection:
@@ -141,7 +142,7 @@ class RegularisedFilter:
         # The first n coordinates of a direction in n + 4 dimensions have the density 1 - |x|**2.
         direction = draws.normals(state.key, state.step, draws.KERNEL, n + 4, count)
         length = np.sqrt(np.einsum("is...,is...->s...", direction, direction))
-        return direction[:columns] / length  # type: ignore[no-any-return]
+        return np.asarray(direction[:columns] / length)
 
 
 def best_bandwidth(kernel: str, n: int, count: int) -> float:

@@ -182,7 +182,8 @@ class StackedSensors:
     @property
     def state(self) -> Space:
         """State space, common to all sensors."""
-        return self.sensors[0].state  # type: ignore[no-any-return]
+        own: Space = self.sensors[0].state
+        return own
 
     @property
     def linear(self) -> bool:

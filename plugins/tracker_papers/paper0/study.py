@@ -91,7 +91,7 @@ class PaperZero:
         paper, rng = self.paper, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         campaigns = {}
         for name, options in READINGS.items():
-            campaigns[name] = _campaign(gulf_to_oman(**options), runs, seed)  # type: ignore[arg-type]
+            campaigns[name] = _campaign(gulf_to_oman(**options), runs, seed)  # type: ignore[arg-type]  # of several kinds
             tell()
         scene = gulf_to_oman(MAIN)
         wrong = tk.monte_carlo(with_printed_hessian(scene), scene, runs=runs, seed=seed)
@@ -185,7 +185,7 @@ def follow(scene: tk.Scenario, runs: int, seed: int) -> Followed:
         history = tk.smooth(one, runs_.record, runs_.prior, start=runs_.start)
         position[name], errors[name] = {}, {}
         for stage, estimate in (("filter", history.filtered), ("smoother", history.smoothed)):
-            mean = np.asarray(estimate.mean)  # type: ignore[union-attr]
+            mean = np.asarray(estimate.mean)  # type: ignore[union-attr]  # smoothed above
             off = error(runs_.truth, mean, space)
             position[name][stage] = mean[:, list(space.position)]
             errors[name][stage] = np.sqrt(squared_position_error(off, space))
