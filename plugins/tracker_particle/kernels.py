@@ -34,8 +34,8 @@ from tracker.types import Array, Gaussian, Innovation
 from tracker_particle import draws, machine
 from tracker_particle.belief import Particles
 
-TINY = 1e-250
-"""Below this sum of likelihoods, relative to the largest there could be, digits are lost."""
+TINY = 1e-140
+"""Below this sum of likelihoods, relative to the largest there could be, squares of them lose digits."""
 
 SHARP = 1e-6
 """A variance below this share of the mean square about the centre is computed again, in two passes."""

@@ -171,7 +171,10 @@ class MarginalisedFilter:
         """Draw the nonlinear components ahead; condition the linear ones on what was drawn."""
         weights = state.log_weights
         if alone.are(weights, motion):
-            return alone.predicted(self, state, weights.shape[1:], motion, dt, u, t)  # type: ignore[no-any-return]
+            later: MarginalisedParticles = alone.predicted(
+                self, state, weights.shape[1:], motion, dt, u, t
+            )
+            return later
         state = self._resampled(state)
         x = state.states
         given = (dt, wide(u), t)
@@ -326,8 +329,9 @@ def _later(
     *_: Any,
 ) -> MarginalisedParticles:
     """As the loop over a record has left it."""
-    covs = np.empty(state.covs.shape)
-    i, j = np.triu_indices(len(covs))
+    size = len(state.linear)
+    covs = np.empty((size, size, 1))
+    i, j = np.triu_indices(size)
     covs[i, j, 0] = covs[j, i, 0] = triangle
     points, means = rows[list(state.others)], rows[list(state.linear)]
     return MarginalisedParticles(

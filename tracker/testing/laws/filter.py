@@ -15,6 +15,7 @@ from tracker.compile import run as compiled
 from tracker.estimation import Estimator
 from tracker.estimation import filter as run
 from tracker.models.graph import Graph, evaluate
+from tracker.protocols import WorksRecords
 from tracker.testing import textbook
 from tracker.testing.calls import Call, Given, calls_of
 from tracker.testing.law import Case, agree, law, not_negative, symmetric
@@ -314,9 +315,11 @@ def _compiling(mode: str) -> Iterator[None]:
 
 
 def _not_compiled(rule: Any) -> str:
-    if getattr(rule, "random", False):
-        return "it draws random numbers"
     with _compiling("on"):
+        if isinstance(rule, WorksRecords):
+            return rule.why_not_whole(MOTION, _sensors(rule)[-1:])
+        if getattr(rule, "random", False):
+            return "it draws random numbers"
         return compiled.reason(_estimator(rule, _sensors(rule)[-1]))
 
 
@@ -328,9 +331,14 @@ def _estimator(rule: Any, sensor: Any) -> Estimator:
 def compiled_agrees_with_arrays(rule: Any, case: Case) -> None:
     """A record filtered by the compiled step gives the same, to 1e-9, as filtered on arrays.
 
+    So does one that a filter with machine code of its own works as a whole, of the same draws: to 1e-5,
+    as a root of the covariance of few particles has but half of its digits.
+
     Times are uneven, some equal; some measurements are missing; means and covariances are compared
     relative to what was predicted.
     """
+    random = getattr(rule, "random", False)
+    close = 1e-5 if random else 1e-9
     for sensor in _sensors(rule):
         batch, steps = (5,), 6
         prior = _belief(case, batch, decades=3.0)
@@ -343,17 +351,21 @@ def compiled_agrees_with_arrays(rule: Any, case: Case) -> None:
         for mode in ("off", "on"):
             with _compiling(mode):
                 record = Record(np.cumsum(gaps), z)
-                found.append(run(_estimator(rule, sensor), record, prior, start=0.0))
+                rng = [np.random.default_rng(lane) for lane in range(*batch)]
+                known = {"rng": rng} if random else {}
+                found.append(run(_estimator(rule, sensor), record, prior, start=0.0, **known))
         arrays, fused = found
         told = f"compiled, a record of {sensor.name} gives another {{}} than on arrays"
         sigma = np.sqrt(np.einsum("tii...->ti...", arrays.predicted.cov))
         size = np.abs(arrays.predicted.mean) + sigma
-        agree(fused.filtered.mean, arrays.filtered.mean, 1e-9, told.format("mean"), size)
-        agree(fused.filtered.cov, arrays.filtered.cov, 1e-9, told.format("covariance"),
+        if random:  # what is common to a cloud takes digits from what is not
+            sigma = sigma + 1e-6 * size
+        agree(fused.filtered.mean, arrays.filtered.mean, close, told.format("mean"), size)
+        agree(fused.filtered.cov, arrays.filtered.cov, close, told.format("covariance"),
               sigma[:, :, None] * sigma[:, None])  # fmt: skip
         for score in ("nis", "loglik"):
             a, b = getattr(fused.innovation, score), getattr(arrays.innovation, score)
-            agree(a, b, 1e-9, told.format(score), 1.0 + np.abs(arrays.innovation.nis))
+            agree(a, b, close, told.format(score), 1.0 + np.abs(arrays.innovation.nis))
 
 
 class Traced:
