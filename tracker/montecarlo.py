@@ -696,7 +696,7 @@ def _reduced(history: History, truth: Array, scenario: Scenario, *, smooth: bool
         "count": count,
         "finite": finite.astype(np.float64),
     }
-    if not smooth:  # NIS is NaN, and the estimate is not, where an update lost its digits
+    if not smooth:  # an update that is not ok says nothing of NIS, whatever estimate it left
         lost = np.isnan(nis)
         values |= {"nis": np.where(lost, 0.0, nis), "count": np.where(lost, 0.0, count)}
     partial = {k: _blocks(np.where(finite, v, 0.0)) for k, v in values.items()}
