@@ -135,7 +135,7 @@ class Genetic:
 
         ranks = self._selected(select, value, order, count)
         parents = box.picked(x, order.take(ranks) if lanes == 1 else _at(order, ranks))
-        children = self._crossed(parents[:, :pairs], parents[:, pairs:], cross, mix)[:, :count]
+        children = self._crossed(parents, cross, mix)[:, :count]
         return Generation(
             memory.box,
             memory.key,
@@ -150,8 +150,9 @@ class Genetic:
     ) -> npt.NDArray[np.intp]:
         """Ranks of the parents, ``(2 pairs, lanes)``, among the ``count`` best."""
         if self.selection == "tournament":
-            pairs = u.reshape(self.contestants, len(u) // self.contestants, u.shape[1])
-            best: npt.NDArray[np.intp] = (np.minimum.reduce(pairs) * count).astype(np.intp)
+            drawn = u.reshape(self.contestants, len(u) // self.contestants, u.shape[1])
+            lowest = functools.reduce(np.minimum, drawn)
+            best: npt.NDArray[np.intp] = (lowest * count).astype(np.intp)
             return best
         if self.selection == "rank":
             # The density over rank / count falls on a line from s to 2 - s; its inverse distribution.
@@ -168,18 +169,22 @@ class Genetic:
         beyond = edges[:, None] <= u * edges[-1]
         return _places(np.add.reduce(beyond, axis=0, dtype=np.intp), count)
 
-    def _crossed(self, first: Array, second: Array, cross: Array, mix: Array) -> Array:
-        """Children ``(d, 2 pairs, lanes)`` of pairs: those of the first parents, then of the second."""
-        d, pairs, lanes = first.shape
+    def _crossed(self, parents: Array, cross: Array, mix: Array) -> Array:
+        """Children of parents ``(d, 2 pairs, lanes)``, like them first those of one side, then of the other.
+
+        ``mix`` is written over.
+        """
+        d, lanes, pairs = len(parents), parents.shape[2], len(cross)
+        first, second = parents[:, :pairs], parents[:, pairs:]
         copied = cross >= self.crossover_rate
         if self.crossover == "one_point":
             # Cut after 1 to d - 1 genes; a cut after all of them leaves copies.
             mix *= d - 1
             mix[copied] = d
-            tail = _genes(d) > mix
-            return np.concatenate(
-                [np.where(tail, second, first), np.where(tail, first, second)], axis=1
-            )
+            tail, children = _genes(d) > mix, parents.copy()
+            np.copyto(children[:, :pairs], second, where=tail)
+            np.copyto(children[:, pairs:], first, where=tail)
+            return children
         if self.crossover == "simulated_binary":
             spread, swap = mix.reshape(2, d, pairs, lanes)
             low, high = variation.simulated_binary(first, second, spread, self.crossover_index)
