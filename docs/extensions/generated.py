@@ -1,9 +1,12 @@
 """Pages made from the code itself, so that they cannot be stale: catalogue, commands, API."""
 
+import csv
 import importlib
 import inspect
 import json
+import math
 import pkgutil
+import re
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +85,44 @@ def _decision(row: Any) -> str:
 def _span(cost: list[float]) -> str:
     low, high = (f"{v:.2g}" for v in (min(cost), max(cost)))
     return low if low == high else f"{low} to {high}"
+
+
+# -------------------------------------------------------------------------- noise under water
+UNDER_WATER = DATA / "noise_under_water"
+
+
+def under_water(table: str) -> dict[str, dict[str, Any]]:
+    """What `tracker reproduce 4` wrote: by problem and filter its CSV row, with numbers as `ratio`."""
+    found: dict[str, dict[str, Any]] = {}
+    with (UNDER_WATER / f"{table}.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            numbers = re.findall(r"[-+.\de]+", row["to the EKF told the truth"])
+            ratio = tuple(float(v) for v in numbers) if len(numbers) == 3 else (math.inf,) * 3
+            found.setdefault(row["problem"], {})[row["filter"]] = row | {"ratio": ratio}
+    return found
+
+
+def best_under_water(table: str, column: str) -> str:
+    """One row per filter, best on average first: a value with its interval for each problem."""
+    found = under_water(table)
+    names = sorted(
+        next(iter(found.values())),
+        key=lambda name: sum(math.log(by[name]["ratio"][0]) for by in found.values()),
+    )
+    lines = [f"| filter | {' | '.join(found)} | NEES / n |", "|---" * (len(found) + 2) + "|"]
+    for name in names:
+        rows = [by[name] for by in found.values()]
+        nees = _span([float(row["NEES / n"]) for row in rows])
+        cells = (_with_interval(row, column) for row in rows)
+        lines.append(f"| {name} | {' | '.join(cells)} | {nees} |")
+    return "\n".join(lines) + "\n"
+
+
+def _with_interval(row: Any, column: str) -> str:
+    if math.isinf(row["ratio"][0]):
+        return f"lost in {row['lost']} of {row['runs']} runs"
+    plain = re.sub(r"[.\d]+e\+0\d", lambda m: f"{float(m[0]):.0f}", row[column])
+    return plain.replace(" [", "<br>[")
 
 
 def _verb(meaning: str) -> str:
@@ -215,6 +256,14 @@ def pages() -> dict[str, str]:
         "catalogue.md": catalogue(),
         "commands.md": commands(),
         "decisions.md": decisions(),
+        **{
+            f"under-water-{start}-{what}.md": best_under_water(table, column)
+            for start, table in (("thesis", "best_where"), ("fair", "best_where_fair"))
+            for what, column in (
+                ("ratios", "to the EKF told the truth"),
+                ("metres", "position RMSE [m]"),
+            )
+        },
         "facade.md": facade(),
     }
     made |= {f"api/{root}.rst": api_page(root) for root in roots()}

@@ -66,9 +66,14 @@ def test_every_figure_of_the_thesis_is_remade(told):
 
 def test_the_tables_hold_every_method_beside_the_others(told):
     _, out = told
-    best = (out / "tables" / "best_where.csv").read_text(encoding="utf-8")
-    for label in (*methods.BASELINES, *methods.WRAPPED, "fuzzy, by hand", "fuzzy, tuned by ICA"):
-        assert best.count(f",{label},") + best.count(f',"{label}",') >= 4, label
+    names = (
+        "ekf", "ukf", "true", "hand", "fuzzy", "tuned on error", "fuzzy UKF", "fuzzy Q", "fuzzy R and Q",
+        "network by hand", "network", "EM", *methods.BASELINES, *methods.WRAPPED,
+    )  # fmt: skip
+    for table in ("best_where", "best_where_fair"):
+        best = (out / "tables" / f"{table}.csv").read_text(encoding="utf-8")
+        for label in map(tables.label_of, names):
+            assert best.count(f",{label},") + best.count(f',"{label}",') == 4, (table, label)
 
 
 def test_the_same_seed_gives_the_same_results(told):
@@ -164,6 +169,32 @@ def test_runs_do_not_depend_on_their_company():
     made = {"kf": methods.estimator(scene, "kf")}
     many = measured(scene, made, 150, 1)["kf"].rmse  # more than a tile
     np.testing.assert_array_equal(many[:, [3, 140]], measured(scene, made, [3, 140], 1)["kf"].rmse)
+
+
+# ------------------------------------------------------------------------------ under water
+def test_a_fair_start_holds_the_truth_and_makes_who_knows_the_noise_consistent():
+    """NEES / n of 64 runs of 100 steps is 3 and more as the thesis begins; begun fairly, within 0.3 of 1.
+
+    The start is one and the same in all runs: a spread of NEES / n of 0.1, and three of it.
+    """
+    scene = underwater_multipath(told=True, steps=100)
+    fair = methods.fairly_begun(scene)
+    off = scene.start - fair.prior.mean
+    assert (off**2 <= np.diag(fair.prior.cov)).all()
+    found = [
+        measured(one, {"true": methods.estimator(one, "ekf1")}, 64, 1)["true"].nees.mean()
+        for one in (scene, fair)
+    ]
+    assert found[0] > 3.0
+    assert found[1] == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_likeliest_noise_of_runs_without_their_truth_is_the_true_one():
+    """10 runs of 200 steps: 2,000 squares have a standard error of 3.2 %; 20 % is six of it."""
+    scene = underwater_multipath(steps=200)
+    R = methods.likeliest_noise(scene, scene.simulate(3, 10))
+    np.testing.assert_allclose(np.diag(R), tuning.true_variances(scene, "R"), rtol=0.2)
+    np.testing.assert_array_equal(R, np.diag(np.diag(R)))
 
 
 # ----------------------------------------------------------------------------------- tuning
