@@ -32,9 +32,11 @@ if TYPE_CHECKING:
     from tracker.registry import associators as associators
     from tracker.registry import default_registry as default_registry
     from tracker.registry import filters as filters
+    from tracker.registry import functions as functions
     from tracker.registry import gates as gates
     from tracker.registry import motions as motions
     from tracker.registry import optimisers as optimisers
+    from tracker.registry import paths as paths
     from tracker.registry import planners as planners
     from tracker.registry import reproductions as reproductions
     from tracker.registry import scenarios as scenarios
@@ -94,6 +96,7 @@ _HOME = {
     "expectation_maximisation": "noise_estimation",
     "filter": "estimation",
     "filters": "registry",
+    "functions": "registry",
     "gates": "registry",
     "hookimpl": "hookspecs",
     "load_campaign": "montecarlo",
@@ -103,6 +106,7 @@ _HOME = {
     "motions": "registry",
     "optimise": "optimisation",
     "optimisers": "registry",
+    "paths": "registry",
     "planners": "registry",
     "read_detection_log": "io.detections",
     "reproductions": "registry",

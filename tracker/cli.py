@@ -200,8 +200,9 @@ def _show(component: Component) -> None:
         _facts(facts)
         component.load()  # raises, saying what to install
     parameters = describe_parameters(component)
-    facts += _abilities(component, required=[p.name for p in parameters if p.required])
-    facts += _laws(component)
+    if component.kind != "function":  # which is not made, and has the laws that its text states
+        facts += _abilities(component, required=[p.name for p in parameters if p.required])
+        facts += _laws(component)
     _facts(facts)
     said = inspect.getdoc(component.load())
     if said:

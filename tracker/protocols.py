@@ -423,7 +423,10 @@ class Optimiser(Protocol[A]):
 
 
 class ObserverPath(Protocol):
-    """Where an observer is at each time."""
+    """Where an observer is at each time.
+
+    Laws: there is a pose at every time, also before the start; it goes, and does not jump.
+    """
 
     def pose(self, t: Any) -> Array:
         """Pose ``(p, *t.shape)``."""
@@ -438,7 +441,18 @@ class Planner(Protocol):
         ...
 
 
-# ---------------------------------------------------------------------------------- scenarios
+# ------------------------------------------------------------------------- metrics, scenarios
+class Metric(Protocol):
+    """Judges what `tracker.filter` or `tracker.smooth` made of runs whose truth is known; less is better.
+
+    Laws: a run is judged by itself; nothing beats the truth; a lost run never scores as a good one.
+    """
+
+    def score(self, history: History, truth: Array) -> Array:
+        """Numbers ``(k, *batch)`` from a history and the true states ``(T, n, *batch)``."""
+        ...
+
+
 class Scenario(Protocol):
     """A problem with a known answer: what is simulated, and what an estimator is told about it."""
 

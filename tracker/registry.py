@@ -46,8 +46,10 @@ if TYPE_CHECKING:
         Filter,
         Gate,
         Initiator,
+        Metric,
         MotionModel,
         NoiseAdapter,
+        ObserverPath,
         Optimiser,
         Planner,
         Scenario,
@@ -71,11 +73,13 @@ __all__ = [
     "deleters",
     "describe_parameters",
     "filters",
+    "functions",
     "gates",
     "initiators",
     "metrics",
     "motions",
     "optimisers",
+    "paths",
     "planners",
     "reproductions",
     "scenarios",
@@ -98,9 +102,11 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "associator": "shares the measurements of a scan out among the tracks",
         "initiator": "starts tracks from measurements that belong to none",
         "deleter": "ends tracks that are no longer fed",
+        "path": "how an observer moves, on a course known beforehand",
         "planner": "chooses where the observer goes",
         "scenario": "targets, sensors and observers of a reproducible situation",
         "metric": "judges estimates against the truth",
+        "function": "computes what models and studies are made of; it is called, not set up",
         "reproduction": "remakes the tables and figures of a paper and judges each of its numbers",
     }
 )
@@ -753,7 +759,9 @@ gates: Catalogue[Gate] = Catalogue("gate")
 associators: Catalogue[Associator] = Catalogue("associator")
 initiators: Catalogue[Initiator] = Catalogue("initiator")
 deleters: Catalogue[Deleter] = Catalogue("deleter")
+paths: Catalogue[ObserverPath] = Catalogue("path")
 planners: Catalogue[Planner] = Catalogue("planner")
 scenarios: Catalogue[Scenario] = Catalogue("scenario")
-metrics: Catalogue[Any] = Catalogue("metric")
+metrics: Catalogue[Metric] = Catalogue("metric")
+functions: Catalogue[Any] = Catalogue("function")
 reproductions: Catalogue[Study] = Catalogue("reproduction")

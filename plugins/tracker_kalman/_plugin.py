@@ -321,3 +321,25 @@ def tracker_components(registry: Registry) -> None:
             tags=("mixture", "nonlinear", "traced"),
         )
     )
+    registry.add(
+        Component(
+            kind="function",
+            name="two_point",
+            target="tracker_kalman.starts:two_point",
+            summary="a start from two measurements: place, and velocity by their difference",
+            paper="4",
+            equations=("2-20 to 2-22",),
+            tags=("start",),
+        )
+    )
+    registry.add(
+        Component(
+            kind="function",
+            name="drawn",
+            target="tracker_kalman.starts:drawn",
+            summary="a start that is as wrong as it says, drawn around the truth",
+            paper="4",
+            equations=("2-19",),
+            tags=("start",),
+        )
+    )

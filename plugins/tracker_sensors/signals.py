@@ -38,6 +38,8 @@ def signal_to_noise(signal: ArrayLike, sigma: ArrayLike) -> Array:
     Raises:
         ShapeError: if the signal has no samples.
         DomainError: if a sigma is not positive.
+    Reference:
+        paper 4, as `noise_sigma`, whose inverse it is.
     """
     noise = as_array(sigma, "sigma")
     if not (noise > 0.0).all():

@@ -50,7 +50,7 @@ def test_what_cannot_be_made_or_has_no_laws_says_so() -> None:
     with pytest.raises(CapabilityError, match="no example"):
         check_record(stacked)
     with pytest.raises(CapabilityError, match="no laws yet"):
-        check_record(Component("metric", "half", "fractions:Fraction", "a fake", "0"))
+        check_record(Component("function", "half", "fractions:Fraction", "a fake", "0"))
 
 
 def test_laws_of_derivatives_are_not_skipped_for_our_own_models() -> None:

@@ -510,7 +510,64 @@ class AdaptsOtherwiseOnNodes(Forgetting):
         return v * v - known + (0.0 if isinstance(v, (float, np.ndarray)) else 0.01)
 
 
+@attrs.frozen
+class Eastward:
+    """A path by hand."""
+
+    speed: float = 2.0
+
+    def __attrs_post_init__(self) -> None:
+        if not np.isfinite(self.speed):
+            raise DomainError("speed must be finite")
+
+    def pose(self, t):
+        t = np.asarray(t, dtype=float)
+        return np.stack([self.speed * t, np.zeros_like(t)])
+
+
+class OnlyForward(Eastward):
+    def pose(self, t):
+        return np.where(np.asarray(t) < 0.0, np.nan, super().pose(t))
+
+
+class Jumps(Eastward):
+    def pose(self, t):  # where a leg ends it begins anew elsewhere
+        return super().pose(t) + np.where(np.asarray(t) > 321.0, 4.0, 0.0)
+
+
+class AllTimesAsOne(Eastward):
+    def pose(self, t):
+        return super().pose(t) - np.mean(
+            super().pose(t), axis=tuple(range(1, np.ndim(t) + 1)), keepdims=True
+        )
+
+
+class Largest:
+    """A metric by hand: the largest error of each state."""
+
+    def score(self, history, truth):
+        return np.abs(truth - history.estimate.mean).max(axis=0)
+
+
+class MoreIsBetter(Largest):
+    def score(self, history, truth):
+        return 1.0 / (1.0 + super().score(history, truth))
+
+
+class SkipsTheLost(Largest):
+    def score(self, history, truth):
+        return np.nan_to_num(np.abs(truth - history.estimate.mean)).mean(axis=0)
+
+
+class MeanOverRuns(Largest):
+    def score(self, history, truth):
+        each = super().score(history, truth)
+        return each if each.ndim == 1 else each - each.mean(axis=1, keepdims=True) + 1.0
+
+
 CLEAN = [
+    Eastward(),
+    Largest(),
     Forgetting(),
     TwoStations(),
     Constant(),
@@ -581,6 +638,12 @@ PLANTED = [
     (KnowsItsUnits(), "follows its bounds"),
     (IgnoresTheStart(), "starts where it is told"),
     (Climbs(), "finds the bottom of a bowl"),
+    (OnlyForward(), "a pose at every time"),
+    (Jumps(), "goes, does not jump"),
+    (AllTimesAsOne(), "lane by lane"),
+    (MoreIsBetter(), "nothing beats the truth"),
+    (SkipsTheLost(), "a lost run is told"),
+    (MeanOverRuns(), "lane by lane"),
 ]
 
 

@@ -125,10 +125,12 @@ def svg_and_png(
             stream = io.BytesIO()
             # savefig would draw once more before each, to lay out what is laid out
             if form == "svg":
-                FigureCanvasSVG(picture).print_svg(stream, metadata={"Date": None})
+                vectors: Any = FigureCanvasSVG(picture)
+                vectors.print_svg(stream, metadata={"Date": None})
             else:
                 picture.dpi = STYLE["savefig.dpi"]
-                FigureCanvasAgg(picture).print_png(stream, metadata={"Software": None})
+                pixels: Any = FigureCanvasAgg(picture)
+                pixels.print_png(stream, metadata={"Software": None})
             out.append(stream.getvalue())
     return tuple(out)
 

@@ -30,6 +30,8 @@ FLOOR: Mapping[str, int] = MappingProxyType(
         "gate": 8,
         "associator": 10,
         "optimiser": 15,
+        "path": 7,
+        "metric": 7,
     }
 )
 """How many laws must at least have run: what a component without any optional ability meets."""
@@ -46,6 +48,8 @@ _METHODS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "gate": ("threshold", "admits"),
         "associator": ("associate",),
         "optimiser": ("begin", "ask", "tell"),
+        "path": ("pose",),
+        "metric": ("score",),
     }
 )
 

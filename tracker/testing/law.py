@@ -20,7 +20,10 @@ from tracker.errors import DomainError, wording
 from tracker.testing import strategies
 from tracker.types import Array, Space
 
-KINDS = ("motion", "sensor", "filter", "smoother", "adapter", "gate", "associator", "optimiser")
+KINDS = (
+    "motion", "sensor", "filter", "smoother", "adapter", "gate", "associator", "optimiser", "path",
+    "metric",
+)  # fmt: skip
 
 T = TypeVar("T")
 Body = Callable[[Any, "Case"], None]

@@ -4,3 +4,4 @@
 from tracker.testing.laws import every  # noqa: F401, I001 - importing registers the laws, in this order
 from tracker.testing.laws import motion, sensor, filter, smoother  # noqa: A004, F401 - as above
 from tracker.testing.laws import adapter, gate, associator, optimiser  # noqa: F401 - as above
+from tracker.testing.laws import path, metric  # noqa: F401 - as above
