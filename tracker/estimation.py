@@ -597,7 +597,10 @@ def _keeps_beliefs(estimator: Estimator) -> bool:
 
 
 def _each_lane(rng: Any, prior: Any) -> Any:
-    """One generator per lane; the same generator gives the same ones."""
+    """One generator per lane, or the one of a single run.
+
+    They are spawned, which the given one remembers: used again, it gives others.
+    """
     batch = prior.moments().batch
     if isinstance(rng, np.random.Generator):
         return rng.spawn(int(np.prod(batch))) if batch else rng
@@ -644,7 +647,8 @@ def smoothed(estimator: Estimator, history: History, workers: int = 1) -> Histor
     """A filtered history with its smoothed trajectory, tile by tile."""
     smoother = estimator.smoother
     assert smoother is not None  # noqa: S101 - callers checked
-    if history.filtered.mean.size and not compiled.why_not_backwards(estimator):
+    fused = history.filtered.mean.size and not compiled.why_not_backwards(estimator)
+    if fused and compiled.told_enough(estimator, history):
         return compiled.smoothed(estimator, history, workers)
     batch, n = history.filtered.batch, history.filtered.mean.shape[1]
     if batch and int(np.prod(batch)) == 1:

@@ -204,15 +204,19 @@ class InteractingMultipleModels:
 
     # --------------------------------------------------------------------------- the start
     def begin(self, prior: Any, motion: MotionModel | None = None) -> ModeMixture:
-        """A state for each mode from one for all: each takes what it has of it."""
+        """A state for each mode from one for all: each takes what it has of it.
+
+        Raises:
+            CapabilityError: if given a mixture of other modes than those of the motion.
+        """
         count = 1 if motion is None else len(modes_of(motion))
         if isinstance(prior, ModeMixture):
-            if motion is None or len(prior.members) == count:
-                return prior
-            prior = prior.moments()
+            if motion is not None:
+                _refuse_other_modes(prior, motion)
+            return prior
         n, batch = len(prior.mean), prior.mean.shape[1:]
-        places = (tuple(range(n)),) if count == 1 else motion.places  # type: ignore[union-attr]
-        initial = (1.0,) if count == 1 else motion.initial  # type: ignore[union-attr]
+        places = _places(motion, n)
+        initial = (1.0,) if count == 1 else motion.initial  # type: ignore[union-attr]  # it has modes
         circular = (False,) * n if motion is None else motion.space.circular
         members = tuple(
             begun(rule, part(prior, p))
@@ -256,7 +260,8 @@ class InteractingMultipleModels:
             member = rules[0].predict(before.members[0], modes[0], dt, u, t)
             return attrs.evolve(before, members=(member,), circular=motion.space.circular)
         own = [member.moments() for member in before.members]
-        chances = motion.transition(dt)  # type: ignore[attr-defined]
+        switching: Any = motion  # of more than one mode, it says how they follow each other
+        chances = switching.transition(dt)
         members, after = [], []
         for j, (rule, mode) in enumerate(zip(rules, modes, strict=True)):
             joint = [row[j] * p for row, p in zip(chances, before.probabilities, strict=True)]
@@ -272,7 +277,7 @@ class InteractingMultipleModels:
                 for i, value in enumerate(joint)
             ]
             start = _into(own, np.stack(weights), before, j)
-            given = motion.inputs(j, u)  # type: ignore[attr-defined]
+            given = switching.inputs(j, u)
             members.append(rule.predict(begun(rule, start), mode, dt, given, t))
         return attrs.evolve(before, members=tuple(members), probabilities=np.stack(after))
 
@@ -360,6 +365,32 @@ def posterior(prior: Sequence[Any], logliks: Sequence[Any]) -> tuple[list[Any], 
         for h, value in zip(heard, joint, strict=True)
     ]
     return shared, most + log(total)
+
+
+def _places(motion: Any, n: int) -> tuple[tuple[int, ...], ...]:
+    """Where the components of each mode lie in the whole state of ``n``."""
+    if hasattr(motion, "transition"):
+        return tuple(motion.places)
+    return (tuple(range(n)),)
+
+
+def _refuse_other_modes(mixture: ModeMixture, motion: Any) -> None:
+    places = _places(motion, len(mixture.circular))
+    if mixture.places == places:
+        return
+
+    def listed(of: Sequence[Sequence[int]]) -> str:
+        sizes = ", ".join(str(len(own)) for own in of)
+        return f"{len(of)} mode{'s' * (len(of) > 1)} of {sizes} components"
+
+    raise CapabilityError(
+        wording(
+            "argument 'state' of the interacting multiple models",
+            got=f"a mixture of {listed(mixture.places)}",
+            expected=f"{listed(places)}, those of the motion, at the same places in the state",
+            do="begin again from its mean and covariance, state.moments(), which forgets the modes",
+        )
+    )
 
 
 def _together(seen: Sequence[Any], weights: Any, sensor: SensorModel) -> tuple[Any, Any]:

@@ -21,7 +21,7 @@ from tracker.algebra import (
     triangularise,
     whiten,
 )
-from tracker.models.functions import absolute, less, sqrt, where
+from tracker.models.functions import absolute, less, maximum, sqrt, where
 from tracker.models.graph import plain
 from tracker.models.linearise import linearise
 from tracker.protocols import MotionModel
@@ -94,7 +94,7 @@ class TwoFilterSmoother:
         """
         root = factor(predicted.cov)
         T = whiten(root, factor(filtered.cov))  # from deviations after the update to those before
-        moved = residual(filtered.mean, predicted.mean, _circular(motion))
+        moved = residual(filtered.mean, predicted.mean, motion.space.circular)
         s = whiten(T, whiten(root, moved))
         # The measurement's own part is (T T')^-1 - 1 = T^-T (1 - T' T) T^-1, where T can be inverted.
         own = _one_more(-symmetric_product(transpose(T), transpose(T)))
@@ -169,6 +169,7 @@ def singular_root(P: Any, scale: Any) -> Any:
 
     What is left of variances of size ``scale`` is taken in the order of its share of them; shares as
     small as rounding are nothing, where a factor in the order of the components would divide by them.
+    Of a matrix that is not positive semi-definite, no variance in ``B B'`` is larger than in P.
 
     Shapes:
         P ``(n, n, *batch)``; scale ``(n, *batch)``; result ``(n, n, *batch)``, of any structure.
@@ -188,6 +189,7 @@ def singular_root(P: Any, scale: Any) -> Any:
             column = where(larger, left[:, j], column)
         known = less(_ROUNDING * n, most)
         column = column * where(known, 1.0 / sqrt(where(known, square, 1.0)), 0.0)
+        column = _within(column, diagonal(left))
         root[:, k] = column
         left = left - symmetric_product(column[:, None], column[:, None])
     total: Any = 0.0
@@ -199,9 +201,11 @@ def singular_root(P: Any, scale: Any) -> Any:
     return root
 
 
+def _within(column: Any, left: Any) -> Any:
+    """Entries whose squares are no larger than what is left of the variances."""
+    most, own = maximum(left, 0.0), column * column
+    over = less(most, own)
+    return column * where(over, most / where(over, own, 1.0), 1.0)
+
+
 _ROUNDING = 2.0**-50
-
-
-def _circular(motion: MotionModel) -> bool | tuple[bool, ...]:
-    flags = motion.space.circular
-    return flags if any(flags) else False

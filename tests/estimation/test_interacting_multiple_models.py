@@ -235,6 +235,24 @@ def test_filters_may_differ_between_modes_but_there_must_be_enough():
         InteractingMultipleModels(missing="somehow")
 
 
+def test_a_mixture_of_other_modes_is_refused():
+    two = tk.estimator("imm", motion=switching([CALM, WILD], CHAIN), sensor=position(1.0))
+    three = switching([CALM, WILD, WILD], np.full((3, 3), 1.0 / 3.0))
+    state, _ = two.step(two.begin(PRIOR), [0.0, 0.0], 1.0)
+    several = tk.estimator("imm", motion=three, sensor=position(1.0))
+    for built, had, wanted in ((several, "2 modes", "3 modes"), (
+        tk.estimator("imm", motion=CALM, sensor=position(1.0)), "2 modes", "1 mode of 4"
+    )):  # fmt: skip
+        with pytest.raises(CapabilityError, match=f"got a mixture of {had}.*expected {wanted}"):
+            built.step(state, [0.0, 0.0], 1.0)
+        after, _ = built.step(built.begin(state.moments()), [0.0, 0.0], 1.0)  # as it says
+        assert np.isfinite(after.moments().mean).all()
+    turning = switching([CALM, coordinated_turn(0.1, 0.01)], CHAIN)
+    wider = tk.estimator("imm", motion=turning, sensor=position(1.0))
+    with pytest.raises(CapabilityError, match="expected 2 modes of 4, 5 components"):
+        wider.filter.predict(state, turning, 1.0)
+
+
 def test_it_is_compiled_over_modes_of_different_size(interpretation):
     motion = switching([CALM, coordinated_turn(0.01, 0.1)], CHAIN)
     sensor = stack([azimuth(0.1).at(sx=9.0, sy=0.0), azimuth(0.1).at(sx=0.0, sy=9.0)])
@@ -273,6 +291,54 @@ def test_one_mode_is_smoothed_as_by_rts(batch):
         found = run(motion, smoother="imm_smoother", measured=measured).smoothed
         np.testing.assert_allclose(found.mean, want.mean, rtol=0, atol=1e-9)
         np.testing.assert_allclose(found.cov, want.cov, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("finer", [1e4, 1e6, 1e7])
+def test_a_future_that_knows_far_more_than_the_filter_leaves_covariances_right(finer):
+    """Three steps without a measurement, then such as are ``finer`` than what the filter believed."""
+    rng, t = np.random.default_rng(1), np.arange(1.0, 9.0)
+    prior = tk.Gaussian(np.zeros(4), np.diag([1e6, 1e6, 1e2, 1e2]))
+    z = 1e3 / finer * rng.standard_normal((8, 2))
+    z[:3] = np.nan
+    measured, sensor = tk.Record(t, z), position(1e3 / finer)
+    slow, slower = constant_velocity(1e-9), constant_velocity(1e-12)
+    rule = InteractingMultipleModels("square_root")
+    want = run(slower, "square_root", sensor, "square_root_rts", prior, measured).smoothed
+    for motion in (slower, switching([slower, slower], CHAIN)):
+        found = run(motion, rule, sensor, ModeSmoother(), prior, measured).smoothed
+        apart = np.einsum("kii->ki", found.cov) / np.einsum("kii->ki", want.cov)
+        assert np.abs(apart - 1.0).max() < 1e-2
+        scale = np.sqrt(np.einsum("kii->ki", want.cov))
+        assert np.abs((found.mean - want.mean) / scale).max() < 1e-2
+    found = run(switching([slow, slower], CHAIN), rule, sensor, ModeSmoother(), prior, measured)
+    cov = found.smoothed.cov
+    scale = np.sqrt(np.einsum("kii->ki", cov))
+    assert np.linalg.eigvalsh(cov / scale[:, :, None] / scale[:, None]).min() > 0.0
+
+
+def test_a_smoothed_density_wider_than_the_predicted_one_says_less_not_more():
+    """The quotient of two Gaussians of which neither is wider throughout: no variance is overstated."""
+    from tracker_kalman.imm_smoother import _Future
+
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        half, other = rng.standard_normal((2, 4, 4))
+        P, S = half @ half.T, other @ other.T
+        zero = np.zeros(4)
+        future = _Future.of(
+            tk.Gaussian.trusted(zero, P), tk.Gaussian.trusted(zero, S), (False,) * 4
+        )
+        white = np.linalg.solve(future.L, np.linalg.solve(future.L, S).T)
+        ratios, directions = np.linalg.eigh(white)
+        told = np.einsum("ji,jk->ik", directions, future.K)
+        known = np.sqrt((told**2).sum(axis=1))
+        assert np.isfinite(known).all()
+        exact = np.sqrt(np.maximum(1.0 / ratios - 1.0, 0.0))
+        assert known.max() <= 2.0 * (
+            1.0 / np.sqrt(ratios.min())
+        )  # n-fold at most, of what it may be
+        if ratios.max() < 1.0:
+            np.testing.assert_allclose(known, exact, rtol=1e-6)
 
 
 def test_a_smoother_of_modes_needs_their_beliefs():

@@ -126,8 +126,10 @@ def test_smoothed_probabilities_of_the_modes_are_in_the_history(batch):
     assert np.array_equal(found[-1], filtered[-1])
     assert np.abs(found[:-1] - filtered[:-1]).max() > 0.01  # the future tells something
     moments = [belief.moments() for belief in history.beliefs.smoothed]
-    np.testing.assert_array_equal(np.stack([m.mean for m in moments]), history.smoothed.mean)
-    np.testing.assert_array_equal(np.stack([m.cov for m in moments]), history.smoothed.cov)
+    means = np.stack([m.mean for m in moments])
+    np.testing.assert_allclose(means, history.smoothed.mean, rtol=1e-12, atol=1e-12)
+    covs = np.stack([m.cov for m in moments])
+    np.testing.assert_allclose(covs, history.smoothed.cov, rtol=1e-12, atol=1e-12)
     again, modes = ModeSmoother().modes(history, MODES)
     np.testing.assert_array_equal(probabilities(modes), probabilities(again.beliefs.smoothed))
 

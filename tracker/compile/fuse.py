@@ -55,6 +55,8 @@ class Layout:
     smoother: Any = attrs.field(eq=False)
     adapter: Any = attrs.field(eq=False)
     carried: Form = attrs.field(eq=False)
+    told: Form | None = None
+    """What a smoother is told of each step: moments, or what the filter believed."""
 
     @property
     def belief(self) -> Form:
@@ -334,25 +336,25 @@ def _histories(
 
 
 def backward(layout: Layout) -> Program:
-    """The smoother's recursion over stored filtered and predicted moments.
+    """The smoother's recursion over stored filtered and predicted moments, or beliefs.
 
-    The moments predicted at step k + 1 are carried as a state beside the smoother's belief, and so are
+    What was predicted at step k + 1 is carried as a state beside the smoother's belief, and so are
     its dt, t and u. The last step, at which a belief begins, is a variant of its own.
     """
     program = Program(backward=True, variants=2)
     program.input("variant", 1, Rate.STEP)
-    c = _Composer(program, layout)
-    n, k = c.n, triangle(c.n)
+    c, form = _Composer(program, layout), layout.told
+    assert form is not None  # noqa: S101 - every backward layout has one
 
-    def gaussian(make: Any, name: str, *more: Any) -> Gaussian:
-        x, P = make(f"{name}.x", n, *more), make(f"{name}.P", k, *more)
-        return Gaussian.trusted(vector(x), unpack(P, n))
+    def belief_of(make: Any, when: str, *more: Any) -> Any:
+        each = {leaf.name: make(f"{when}.{leaf.name}", leaf.count, *more) for leaf in leaves(form)}
+        return built(form, lambda leaf: of_nodes(leaf, each[leaf.name]))
 
-    later, ahead = c.carried("smoothed."), gaussian(program.state, "ahead")
-    filtered = gaussian(program.input, "filtered", Rate.BOTH)
-    predicted = gaussian(program.input, "predicted", Rate.BOTH)
+    later, ahead = c.carried("smoothed."), belief_of(program.state, "ahead")
+    filtered = belief_of(program.input, "filtered", Rate.BOTH)
+    predicted = belief_of(program.input, "predicted", Rate.BOTH)
     told = "scores" in layout.keep
-    truth = vector(program.input("truth", n, Rate.BOTH)) if told else None
+    truth = vector(program.input("truth", c.n, Rate.BOTH)) if told else None
     counted = program.input("counted", 1, Rate.LANE)[0] if told else 1.0
     step = program.state("step", 2 + layout.inputs)
     u = vector(step[2:]) if layout.inputs else None
@@ -360,18 +362,21 @@ def backward(layout: Layout) -> Program:
     for variant in (LAST, EARLIER):
         if variant == LAST:
             belief = smoother.begin(filtered) if hasattr(smoother, "begin") else filtered
-            out = filtered
+            out = filtered.moments()
         else:
             belief = smoother.step(filtered, ahead, later, *known)
             out = belief.moments()
         _symbolic(smoother, out.mean)
         c.carry(belief, variant, "smoothed.")
-        program.set("ahead.x", list(predicted.mean), variant)
-        program.set("ahead.P", pack(predicted.cov), variant)
+        for name, found in entries(form, predicted).items():
+            program.set(f"ahead.{name}", found, variant)
         program.set("step", [c.dt, c.t, *([] if c.u is None else c.u)], variant)
         if "smoothed" in layout.keep:
             program.history("out.x", list(out.mean), variant)
             program.history("out.P", pack(out.cov), variant)
+        if "beliefs" in layout.keep:
+            for name, found in entries(layout.carried, belief).items():
+                program.history(f"known.{name}", found, variant)
         if told:
             scores(program, variant, layout.motion, out, truth, counted, [])
     return program
@@ -413,7 +418,7 @@ def summands(
     }
     if {"squared_error", "nees"}.isdisjoint(names):
         return found
-    errors = residual(estimate.mean, truth, space.circular if any(space.circular) else False)
+    errors = residual(estimate.mean, truth, space.circular)
     squared: Any = 0.0
     for i in space.position:
         squared = squared + errors[i] * errors[i]
@@ -464,8 +469,7 @@ def scores(
     A lane that is not finite is left out of the sums over lanes, not out of its own; so is one that
     only fills up a group (``counted`` is 0 there).
     """
-    flags = motion.space.circular
-    errors = residual(estimate.mean, truth, flags if any(flags) else False)
+    errors = residual(estimate.mean, truth, motion.space.circular)
     squared: Any = 0.0
     claimed: Any = 0.0
     for i in motion.space.position:
@@ -481,7 +485,7 @@ def scores(
         last = [where(isnan(was), now, was) for was, now in zip(kept, last, strict=True)]
     program.set("final", last, variant)
     counts = less(absolute(squared + nees), where(less(0.0, counted), INFINITY, 0.0))
-    # NIS is NaN, and the estimate is not, where an update lost its digits: it says nothing then.
+    # An update that is not ok says nothing of NIS, whatever estimate it left.
     surprise = [where(isnan(more[0]), 0.0, e) for e in more[:2]]
     values = [where(counts, e, 0.0) for e in (squared, nees, *surprise, 1.0)]
     program.curve("curves", values, variant)

@@ -20,10 +20,19 @@ from tracker.compile import objects
 from tracker.compile.fuse import EARLIER, LAST, Layout, backward, forward, structure, why_not
 from tracker.compile.llvm import Kernel
 from tracker.compile.program import BLOCK, WIDTH, Program, Rate, allocate, tile, tile_into, untile
-from tracker.compile.values import Form, built, entries, form_of, leaves, triangle
+from tracker.compile.values import (
+    Form,
+    Tree,
+    arrays_of,
+    built,
+    entries,
+    form_of,
+    leaves,
+    triangle,
+)
 from tracker.errors import CapabilityError, ConfigError, TraceError
 from tracker.models.parameters import numbers_of
-from tracker.recursion import begin
+from tracker.recursion import begin, is_random
 from tracker.threads import each, shares
 from tracker.types import Array, Beliefs, Gaussian, History, Innovation, Record, Trajectory
 
@@ -70,8 +79,15 @@ def _begins(estimator: Any) -> str:
     try:
         layout = _layout(estimator, {}, 0, ("scores",))  # as a campaign's, most often
     except FAILURES as error:
-        return f"what filter {type(estimator.filter).__name__} believes cannot be carried: {error}"
+        return f"what {_by_name(estimator)} begins with cannot be carried: {error}"
     return _hashable(_trial, layout)
+
+
+def _by_name(parts: Any) -> str:
+    """The filter of an estimator or a layout, and the adapter beside it: either may be to blame."""
+    name = f"filter {type(parts.filter).__name__}"
+    beside = "" if parts.adapter is None else f" with adapter {type(parts.adapter).__name__}"
+    return name + beside
 
 
 def _hashable(trial: Callable[[Layout], str], layout: Layout) -> str:
@@ -88,7 +104,7 @@ def _trial(layout: Layout) -> str:
     try:
         _composed(layout, "forward")
     except FAILURES as error:
-        return f"filter {type(layout.filter).__name__} cannot be traced: {error}"
+        return f"{_by_name(layout)} cannot be traced: {error}"
     return ""
 
 
@@ -101,11 +117,30 @@ class Parts:
     sensors: tuple[Any, ...] = ()
     smoother: Any = None
     adapter: Any = None
+    believed: Form | None = None
 
 
 def _afterwards(estimator: Any) -> Parts:
-    """What a smoother depends on: neither the filter nor what it measured with."""
-    return Parts(None, estimator.motion, (), estimator.smoother)
+    """What a smoother depends on: not what was measured with, and of the filter its beliefs at most."""
+    smoother, form = estimator.smoother, None
+    if "beliefs" in smoother.needs:
+        form = _carried(estimator)
+        if estimator.adapter is not None and isinstance(form, Tree):
+            form = dict(form.parts)["belief"]
+    return Parts(None, estimator.motion, (), smoother, believed=form)
+
+
+def told_enough(estimator: Any, history: History) -> bool:
+    """Whether a history holds what the compiled smoother takes: beliefs of the filter, if it needs them."""
+    form, kept = _afterwards(estimator).believed, history.beliefs
+    if form is None or kept is None:
+        return form is None
+    name = "" if estimator.adapter is None else "carried.belief"
+    some = (*kept.predicted[:1], *kept.predicted[-1:], *kept.filtered[:1], *kept.filtered[-1:])
+    try:
+        return all(form_of(belief, len(history.filtered.batch), name) == form for belief in some)
+    except TraceError:
+        return False
 
 
 def why_not_backwards(estimator: Any) -> str:
@@ -114,25 +149,28 @@ def why_not_backwards(estimator: Any) -> str:
     Raises:
         CapabilityError: if TRACKER_COMPILE=require and it cannot be compiled.
     """
-    wanted, after = mode(), _afterwards(estimator)
+    wanted, smoother = mode(), estimator.smoother
     if wanted == "off":
         return "TRACKER_COMPILE=off"
     if not objects.available():
         why = MISSING
-    elif not hasattr(after.smoother, "step"):
-        why = f"smoother {type(after.smoother).__name__} has no step over components"
-    elif opaque := getattr(after.smoother, "why_opaque", ""):
-        why = f"smoother {type(after.smoother).__name__} is opaque: {opaque}"
+    elif not hasattr(smoother, "step"):
+        why = f"smoother {type(smoother).__name__} has no step over components"
+    elif opaque := getattr(smoother, "why_opaque", ""):
+        why = f"smoother {type(smoother).__name__} is opaque: {opaque}"
+    elif "beliefs" in smoother.needs and is_random(estimator.filter):
+        why = f"filter {type(estimator.filter).__name__} draws random numbers"
     else:
-        why = why_not(None, after.motion, ()) or _begins_backwards(after)
+        why = why_not(None, estimator.motion, ()) or _begins_backwards(estimator)
     return _required(why, wanted)
 
 
-def _begins_backwards(after: Parts) -> str:
+def _begins_backwards(estimator: Any) -> str:
     try:
-        layout = _layout(after, {}, 0, ("scores",))
+        layout = _layout(_afterwards(estimator), {}, 0, ("scores",))
     except FAILURES as error:
-        return f"what smoother {type(after.smoother).__name__} carries cannot be carried: {error}"
+        name = type(estimator.smoother).__name__
+        return f"what smoother {name} carries cannot be carried: {error}"
     return _hashable(_trial_backwards, layout)
 
 
@@ -191,7 +229,12 @@ def _layout(
         smoother=estimator.smoother,
         adapter=estimator.adapter,
         carried=_carried(estimator),
+        told=_told(estimator) if estimator.filter is None else None,
     )
+
+
+def _told(after: Parts) -> Form:
+    return after.believed or _gaussian(after.motion.space.size)
 
 
 def owners(estimator: Any) -> dict[str, Any]:
@@ -214,9 +257,11 @@ def _carried(estimator: Any) -> Form:
     backwards = estimator.filter is None  # then it is the smoother that begins
     begins = hasattr(estimator.smoother, "begin") if backwards else begins_otherwise(estimator)
     if not begins:
-        return _gaussian(n)
+        return _told(estimator) if backwards else _gaussian(n)
     prior = Gaussian.trusted(np.zeros((n, 1)), np.eye(n)[..., None])
     if backwards:
+        if estimator.believed is not None:
+            prior = built(estimator.believed, lambda leaf: np.zeros((*leaf.shape, 1)))
         return form_of(estimator.smoother.begin(prior), 1)
     pose = np.zeros((max(s.pose_space.size for s in estimator.sensors), 1))
     with at_once():
@@ -437,20 +482,26 @@ def filtered(
 
 def _beliefs(problem: _Problem, arrays: Mapping[str, Array], layout: Layout) -> Beliefs:
     """What the filter believed at each step."""
+    predicted, filtered = (
+        _over_time(problem, arrays, layout.belief, when) for when in ("predicted", "filtered")
+    )
+    return Beliefs(predicted, filtered)
 
-    def over_time(when: str) -> tuple[Any, ...]:
-        whole: dict[str, Array] = {}
-        for leaf in leaves(layout.belief):
-            kept = problem.lanes_of(arrays[f"{when}.{leaf.name}"])
-            array = np.zeros((len(kept), *leaf.shape, *kept.shape[2:]))
-            for i, place in enumerate(leaf.places()):
-                for where in (place, leaf.mirrored(place)):
-                    key: tuple[Any, ...] = (slice(None), *where)
-                    array[key] = kept[:, i]
-            whole[leaf.name] = array
-        return tuple(_belief(layout.belief, whole, k) for k in range(len(problem.record)))
 
-    return Beliefs(over_time("predicted"), over_time("filtered"))
+def _over_time(
+    problem: _Problem, arrays: Mapping[str, Array], form: Form, when: str
+) -> tuple[Any, ...]:
+    """Beliefs of every step, from the histories of their entries."""
+    whole: dict[str, Array] = {}
+    for leaf in leaves(form):
+        kept = problem.lanes_of(arrays[f"{when}.{leaf.name}"])
+        array = np.zeros((len(kept), *leaf.shape, *kept.shape[2:]))
+        for i, place in enumerate(leaf.places()):
+            for where in (place, leaf.mirrored(place)):
+                key: tuple[Any, ...] = (slice(None), *where)
+                array[key] = kept[:, i]
+        whole[leaf.name] = array
+    return tuple(_belief(form, whole, k) for k in range(len(problem.record)))
 
 
 def _belief(form: Form, whole: Mapping[str, Array], step: int) -> Any:
@@ -473,17 +524,33 @@ def smoothed(estimator: Any, history: History, workers: int = 1) -> History:
     for name, value in (("t", history.t), ("z", empty), ("u", history.u), ("pose", None)):
         object.__setattr__(record, name, value)
     object.__setattr__(record, "sensor", None)
-    problem = _Problem.of(_afterwards(estimator), record, None)
-    made = kernel(problem.layout(("smoothed",)), "backward")
+    after, kept = _afterwards(estimator), history.beliefs
+    problem = _Problem.of(after, record, None)
+    layout = problem.layout(("smoothed",) if after.believed is None else ("smoothed", "beliefs"))
+    made = kernel(layout, "backward")
     arrays = problem.arrays(made.program)
-    for name, source in (("filtered", history.filtered), ("predicted", history.predicted)):
-        arrays[f"{name}.x"][:] = tile(_flat(source.mean, 2, record.batch))
-        upper = np.triu_indices(shape[1])
-        arrays[f"{name}.P"][:] = tile(_flat(source.cov[:, upper[0], upper[1]], 2, record.batch))
+    for name in ("filtered", "predicted"):
+        if after.believed is None:
+            source: Trajectory = getattr(history, name)
+            arrays[f"{name}.x"][:] = tile(_flat(source.mean, 2, record.batch))
+            upper = np.triu_indices(shape[1])
+            triangles = source.cov[:, upper[0], upper[1]]
+            arrays[f"{name}.P"][:] = tile(_flat(triangles, 2, record.batch))
+            continue
+        each = [arrays_of(after.believed, belief) for belief in getattr(kept, name)]
+        for leaf in leaves(after.believed):
+            whole = np.stack([one[leaf.name] for one in each])
+            places: list[Any] = [(slice(None), *place) for place in leaf.places()]
+            rows = np.stack([whole[place] for place in places], axis=1)
+            arrays[f"{name}.{leaf.name}"][:] = tile(_flat(rows, 2, record.batch))
     _begin_backwards(arrays)
     _call(made, arrays, problem.groups, shape[0], workers)
     out = Trajectory(problem.lanes_of(arrays["out.x"]), problem.matrices(arrays["out.P"]))
-    return attrs.evolve(history, smoothed=out)
+    if kept is not None and after.believed is not None:
+        out.mean[-1], out.cov[-1] = history.filtered.mean[-1], history.filtered.cov[-1]
+        known = _over_time(problem, arrays, layout.carried, "known")
+        kept = attrs.evolve(kept, smoothed=known)
+    return attrs.evolve(history, smoothed=out, beliefs=kept)
 
 
 @attrs.frozen(eq=False)
@@ -508,7 +575,10 @@ def scored(
     "smoother".
     """
     smooth, steps = estimator.smoother is not None, len(record)
-    keep = ("scores", "predicted", "filtered") if smooth else ("scores",)
+    keep: tuple[str, ...] = ("scores",)
+    if smooth:
+        beliefs = "beliefs" in estimator.smoother.needs
+        keep = ("scores", "beliefs") if beliefs else ("scores", "predicted", "filtered")
     problem = _Problem.of(estimator, record, start)
     made = kernel(problem.layout(keep), "forward")
     passing = {"z", "truth", *made.program.histories[0]}

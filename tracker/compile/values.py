@@ -20,6 +20,7 @@ __all__ = [
     "Form",
     "Leaf",
     "Tree",
+    "arrays_of",
     "built",
     "entries",
     "form_of",
@@ -179,6 +180,17 @@ def entries(form: Form, value: Any) -> dict[str, list[Any]]:
             )
         for name, part in form.parts:
             out |= entries(part, value[int(name)] if form.kind is None else getattr(value, name))
+    return out
+
+
+def arrays_of(form: Form, value: Any) -> dict[str, Any]:
+    """The arrays of a value of that form, whole, by the names of its leaves."""
+    if isinstance(form, Leaf):
+        return {form.name: value}
+    out: dict[str, Any] = {}
+    if isinstance(form, Tree):
+        for name, part in form.parts:
+            out |= arrays_of(part, value[int(name)] if form.kind is None else getattr(value, name))
     return out
 
 
