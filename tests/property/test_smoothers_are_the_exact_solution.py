@@ -48,7 +48,7 @@ def test_a_smoother_is_right_after_noise_that_differed_per_lane_and_step(name, b
         agree(found, task, lane, name)
 
 
-@pytest.mark.parametrize("batch", [(), (3,)], ids=str)
+@pytest.mark.parametrize("batch", SHAPES, ids=str)
 @pytest.mark.parametrize("lag", [0, 1, 4, 11, 12])
 @given(seed=SEEDS)
 def test_with_a_fixed_lag_each_state_is_the_exact_solution_of_a_record_cut_later(lag, batch, seed):
@@ -63,7 +63,7 @@ def test_with_a_fixed_lag_each_state_is_the_exact_solution_of_a_record_cut_later
         agree(found, task, lane, f"fixed lag of {lag}", rows)
 
 
-@pytest.mark.parametrize("batch", [(), (3,)], ids=str)
+@pytest.mark.parametrize("batch", SHAPES, ids=str)
 @given(seed=SEEDS, step=st.integers(0, 11))
 def test_a_fixed_point_is_the_exact_solution_of_every_record_so_far(batch, seed, step):
     task = problem(seed, batch, varied=True)
@@ -78,6 +78,53 @@ def test_a_fixed_point_is_the_exact_solution_of_every_record_so_far(batch, seed,
             now = found.at(i)[lane] if batch else found.at(i)
             assert (np.abs(now.mean - mean[step]) < 1e-9 * (prior + np.abs(mean[step]))).all()
             assert (np.abs(now.cov - cov[step]) < 1e-9 * np.outer(prior, prior)).all()
+
+
+@attrs.frozen(eq=False)
+class Doubts:
+    """What the adapter below remembers: the density of the next step's noise."""
+
+    density: np.ndarray
+
+
+@attrs.frozen
+class Doubting:
+    """An adapter by which the process noise grows with every measurement, faster after surprising ones."""
+
+    tunes = ("Q",)
+
+    def begin(self, _motion, _sensor, prior, _pose):
+        return Doubts(np.full(prior.mean.shape[1:], 0.5))
+
+    def tuned(self, memory, _motion, sensor):
+        density = memory.density
+        return constant_velocity(density if density.ndim else float(density)), sensor
+
+    def adapt(self, memory, step, _motion, _sensor):
+        seen = np.isfinite(step.innovation.nis)
+        surprising = np.where(seen, step.innovation.nis, 0.0) > 2.0
+        return Doubts(memory.density * np.where(surprising, 1.9, 1.2))
+
+
+@pytest.mark.parametrize("batch", SHAPES, ids=str)
+@pytest.mark.parametrize("name", [*INTERVAL, "sigma_point_rts"])
+@given(seed=SEEDS)
+def test_after_an_adapter_of_the_process_noise_a_smoother_is_exact_with_what_was_used(
+    name, batch, seed
+):
+    """An adapted run, smoothed: the exact solution of the densities that the adapter told the filter."""
+    task = problem(seed, batch)
+    rule = FixedLagSmoother(lag=50) if name == "fixed_lag" else tk.smoothers.make(name)
+    est = tk.estimator("kf", motion=NOMINAL, sensor=SENSOR, smoother=rule, adapter=Doubting())
+    history = tk.smooth(est, task.record, task.prior, start=float(task.record.t[0]))
+    nis, used = history.innovation.nis, np.empty(task.density.shape)
+    used[0] = 0.5
+    for k in range(1, len(used)):
+        used[k] = used[k - 1] * np.where(nis[k - 1] > 2.0, 1.9, 1.2)
+    told = attrs.evolve(task, density=used)
+    for lane in lanes(batch)[:3]:
+        agree(history.smoothed, told, lane, name)
+    assert used.max() > 2.0
 
 
 def test_a_fixed_point_that_is_not_there_is_refused():

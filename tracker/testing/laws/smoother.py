@@ -154,8 +154,8 @@ def last_step(rule: Any, case: Case) -> None:
 
 @law("smoother", name="equals batch least squares", unless=_draws)
 def equals_batch_least_squares(rule: Any, case: Case) -> None:
-    """On a linear problem the result is the least-squares solution of all steps at once, to 1e-8."""
-    for batch in ((), (3,)):
+    """On a linear problem the result is the least-squares solution of all steps at once, to 1e-9."""
+    for batch in ((), (7,), (3, 5)):
         problem = _problem(case, batch, pauses=False)
         mean, cov = _smoothed(rule, problem.filtered())
         for lane in np.ndindex(*batch):
@@ -163,9 +163,9 @@ def equals_batch_least_squares(rule: Any, case: Case) -> None:
             sigma = np.sqrt(np.einsum("kii->ki", P))
             told = "the smoothed {} differs from the least-squares solution of the whole record"
             size = np.abs(x).max(axis=0) + sigma.max(axis=0)
-            agree(mean[(..., *lane)], x, 1e-8, told.format("mean"), scale=size)
+            agree(mean[(..., *lane)], x, 1e-9, told.format("mean"), scale=size)
             worst = np.einsum("kii->ki", problem.lane(lane).filtered().predicted.cov) ** 0.5
-            agree(cov[(..., *lane)], P, 1e-8, told.format("covariance"),
+            agree(cov[(..., *lane)], P, 1e-9, told.format("covariance"),
                   scale=worst[:, :, None] * worst[:, None])  # fmt: skip
 
 
