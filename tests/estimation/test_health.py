@@ -365,6 +365,20 @@ def test_however_little_there_is_a_summary_and_no_warning_of_numpy_s(steps, batc
     assert ("correlation" in told) == (z.size > 0 and steps > 1)
 
 
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_a_summary_tells_the_condition_number_of_what_the_record_says(batch):
+    rng = np.random.default_rng(2)
+    record = tk.Record(np.arange(5.0), rng.normal(size=(5, 2, *batch)))
+    prior = tk.Gaussian(np.zeros(4), np.diag([9.0, 9.0, 1.0, 1.0]))
+    history = tk.filter(tk.estimator("kf", motion=WALK, sensor=FIX), record, prior)
+    found = observability(
+        WALK, FIX, record.t, np.zeros((5, 4)), prior.cov, measured=np.ones((5, 2), bool)
+    )
+    assert found.condition == pytest.approx(np.linalg.cond(found.information * np.outer(*2 * [
+        np.sqrt(np.diag(prior.cov))])))  # fmt: skip
+    assert f"rank 4 of 4, condition number {found.condition:.2g}; " in history.summary()
+
+
 def test_a_correlation_is_that_of_the_lanes_that_have_one():
     told = run_of(walking(2), runs=40).innovation
     found = whiteness(told)
@@ -378,7 +392,10 @@ def test_directions_that_are_not_seen_are_counted_and_said_in_english():
     prior = tk.Gaussian(np.zeros(4), np.diag([9.0, 9.0, 1.0, 1.0]))
     history = tk.filter(tk.estimator("kf", motion=WALK, sensor=FIX), record, prior)
     told = history.summary()
-    assert "rank 2 of 4; of 2 directions the record says next to nothing" in told
+    assert (
+        "rank 2 of 4, condition number above 1e12; of 2 directions the record says next to nothing"
+        in told
+    )
     blind = [words for words in history.warnings() if "unobservable" in words]
     assert len(blind) == 2
     for words, axis in zip(blind, ("vx", "vy"), strict=True):

@@ -148,6 +148,10 @@ def _approximated(history: History) -> list[str]:
     return [words] if words else []
 
 
+SINGULAR = 1e12
+"""A condition number of information above this owes most of its digits to rounding."""
+
+
 def summary(history: History) -> str:
     """The state of health of a run: numbers, and below them what a person should conclude."""
     batch = history.filtered.batch
@@ -180,8 +184,16 @@ def _seen(found: Observability | None, history: History) -> str:
     known = found.ratios[0][np.isfinite(found.ratios[0])]
     least = float(np.median(known)) if known.size else np.nan
     full = len(found.ratios)
-    rank = int(np.median(found.rank))
+    seen = f"rank {int(np.median(found.rank))} of {full}, condition number {_condition(found)}"
     if least < LITTLE:
-        blind = f"{full - rank} directions" if full - rank > 1 else "one direction"
-        return f"rank {rank} of {full}; of {blind} the record says next to nothing"
-    return f"rank {rank} of {full}; {least:.3g} times as much as the prior of the direction that is seen least"
+        few = full - int(np.median(found.rank))
+        blind = f"{few} directions" if few > 1 else "one direction"
+        return f"{seen}; of {blind} the record says next to nothing"
+    return f"{seen}; {least:.3g} times as much as the prior of the direction that is seen least"
+
+
+def _condition(found: Observability) -> str:
+    """The median over the lanes; with more digits than a float has, none of it is known."""
+    finite_ones = np.where(np.isnan(found.condition), np.inf, found.condition)
+    value = float(np.median(finite_ones))
+    return f"{value:.2g}" if value < SINGULAR else f"above {SINGULAR:.0e}".replace("e+", "e")

@@ -36,6 +36,8 @@ def observability_matrix(
 ) -> Array:
     """``[H; H F; H F^2; ...]`` at a state: full column rank where it is observable in as many steps.
 
+    Its condition number depends on the units of the states; that of `observability` does not.
+
     Shapes:
         x ``(n, *batch)``; ``steps`` blocks, by default n; result ``(steps * m, n, *batch)``.
     Reference:
@@ -45,8 +47,8 @@ def observability_matrix(
     >>> from tracker_motion import constant_velocity
     >>> from tracker_sensors import position
     >>> matrix = observability_matrix(constant_velocity(0.1), position(1.0), np.zeros(4), 1.0)
-    >>> matrix.shape, int(np.linalg.matrix_rank(matrix))
-    ((8, 4), 4)
+    >>> matrix.shape, int(np.linalg.matrix_rank(matrix)), round(float(np.linalg.cond(matrix)), 3)
+    ((8, 4), 4, 3.759)
     """
     x = np.asarray(x, dtype=np.float64)
     F, H = dense(linearise(motion, x, dt)[1]), dense(linearise(sensor, x, pose)[1])
