@@ -335,7 +335,7 @@ def compiled_agrees_with_arrays(rule: Any, case: Case) -> None:
     as a root of the covariance of few particles has but half of its digits.
 
     Times are uneven, some equal; some measurements are missing; means and covariances are compared
-    relative to what was predicted.
+    relative to what was predicted or found.
     """
     random = getattr(rule, "random", False)
     close = 1e-5 if random else 1e-9
@@ -356,7 +356,8 @@ def compiled_agrees_with_arrays(rule: Any, case: Case) -> None:
                 found.append(run(_estimator(rule, sensor), record, prior, start=0.0, **known))
         arrays, fused = found
         told = f"compiled, a record of {sensor.name} gives another {{}} than on arrays"
-        sigma = np.sqrt(np.einsum("tii...->ti...", arrays.predicted.cov))
+        spreads = (arrays.predicted.cov, arrays.filtered.cov)  # particles may know less than before
+        sigma = np.sqrt(np.maximum(*(np.einsum("tii...->ti...", P) for P in spreads)))
         size = np.abs(arrays.predicted.mean) + sigma
         if random:  # what is common to a cloud takes digits from what is not
             sigma = sigma + 1e-6 * size
