@@ -340,3 +340,9 @@ def test_the_caption_of_the_misprints_counts_the_runs_it_speaks_of():
     words = figures._ruined(campaign, wrong)
     assert f"{share:.0%} with the Hessian of eq. 33 as printed." in words
     assert share > 0.1
+
+
+def test_points_that_are_kept_cost_more_than_new_ones():
+    """The paper calls them cheaper; linear motion needs no points to predict with, and carries none."""
+    count = {name: operations(one) for name, one in estimators(gulf_to_oman("A")).items()}
+    assert count["ukf, points kept"] > 1.5 * count["ukf"]
