@@ -23,6 +23,7 @@ from tracker_optimise.genetic import Genetic
 from tracker_optimise.imperialist import Imperialist
 from tracker_optimise.particle_swarm import ParticleSwarm
 from tracker_particle.backward_simulation import BackwardSimulation
+from tracker_particle.bootstrap import BootstrapFilter
 
 STATIONS = np.array([[1.0, 1.0], [400.0, 110.0]])  # paper 0, eq. 34, in metres
 
@@ -286,6 +287,13 @@ class AnotherOnNodes(ExtendedKalmanFilter):
         after, told = super().update(state, sensor, z, pose, projection)
         shift = 1e-6 if after.mean.dtype.hasobject else 0.0
         return Gaussian.trusted(after.mean + shift, after.cov), told
+
+
+class WorksRecordsOtherwise(BootstrapFilter):
+    def whole(self, state, motion, sensors, record, start, history):
+        done = super().whole(state, motion, sensors, record, start, history)
+        history.filtered.mean[-1] += 0.01
+        return done
 
 
 class ForgetsTheFuture(RauchTungStriebel):
@@ -610,6 +618,7 @@ PLANTED = [
     (SpreadsNaN(), "a diverged lane harms no neighbour"),
     (AnotherOnNodes(), "compiled agrees with arrays"),
     (AnotherOnNodes(), "interpretations agree"),
+    (WorksRecordsOtherwise(), "compiled agrees with arrays"),
     (ForgetsTheFuture(), "equals batch least squares"),
     (SmoothsTheEnd(), "last step equals the filter"),
     (Reflected(), "never above the filter"),
