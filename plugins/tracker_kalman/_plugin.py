@@ -262,7 +262,7 @@ def tracker_components(registry: Registry) -> None:
             kind="smoother",
             name="square_root_rts",
             target="tracker_kalman.square_root_rts:SquareRootRauchTungStriebel",
-            summary="Rauch-Tung-Striebel in square-root form: covariances are never subtracted.",
+            summary="Rauch-Tung-Striebel in square-root form: semi-definite whatever the rounding.",
             paper="Park and Kailath, Square-root RTS smoothing algorithms, 1995",
             tags=("gaussian", "fixed-interval", "square-root", "traced"),
         )

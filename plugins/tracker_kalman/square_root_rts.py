@@ -1,4 +1,4 @@
-"""The Rauch-Tung-Striebel smoother in square-root form: covariances are never subtracted."""
+"""The Rauch-Tung-Striebel smoother in square-root form: smoothed covariances are sums of squares."""
 
 from __future__ import annotations
 
@@ -32,9 +32,12 @@ class SquareRootRauchTungStriebel:
 
     ``Ps = (1 - G F) P (1 - G F)' + G Q G' + G Ps+ G'``, whose root is one triangularisation of the
     three roots side by side: positive semi-definite whatever the rounding, where ``P + G (Ps+ - P-) G'``
-    may lose that. The root is carried from step to step. The noise Q is what the filter used, ``P- - F P F'``, so that it is right after
-    adapted or per-lane noise. It computes several times what `rts` does: choose it where a measurement is many orders
-    better than the prior.
+    may lose that. The root is carried from step to step. The noise Q is what the filter used, ``P- - F P F'``,
+    so that it is right after adapted or per-lane noise.
+
+    It is semi-definite, not more precise: a history holds covariances, whose roots are taken here anew, and Q
+    is their difference. Digits that only the root of a filter such as "square_root" held are lost, as in `rts`:
+    of variances that are 1e12 times as large as R some 1e-4. It computes several times what `rts` does.
 
     Reference: Park and Kailath (1995), Square-root RTS smoothing algorithms; Bierman (1983), A new
         computationally efficient fixed-interval, discrete-time smoother.

@@ -278,3 +278,79 @@ def test_a_measurement_without_noise_has_no_information_form_and_says_so(
     assert np.isnan(found["information"].filtered.mean).all()
     assert found["square_root"].innovation.ok.all()
     np.testing.assert_allclose(found["square_root"].filtered.mean[0, 0], 2.0)
+
+
+# ------------------------------------------------------------------- smoothing at the edge of precision
+def exactly_smoothed(
+    z: Array, variances: tuple[int, int], density: Fraction, R: Fraction
+) -> tuple[list[Any], list[Any]]:
+    """Means and covariances of one axis of a walk with steps of one second, in rational numbers."""
+    one, zero = Fraction(1), Fraction(0)
+    F = [[one, one], [zero, one]]
+    Q = [[density / 3, density / 2], [density / 2, density]]
+
+    def times(A: Any, B: Any) -> Any:
+        return [
+            [
+                sum((a * b for a, b in zip(row, column, strict=True)), zero)
+                for column in zip(*B, strict=True)
+            ]
+            for row in A
+        ]
+
+    def plus(A: Any, B: Any, sign: int = 1) -> Any:
+        return [
+            [a + sign * b for a, b in zip(*rows, strict=True)] for rows in zip(A, B, strict=True)
+        ]
+
+    def across(A: Any) -> Any:
+        return [list(column) for column in zip(*A, strict=True)]
+
+    x, P = [[zero], [zero]], [[Fraction(variances[0]), zero], [zero, Fraction(variances[1])]]
+    steps = []
+    for value in z.tolist():
+        before = times(F, x), plus(times(times(F, P), across(F)), Q)
+        x, P = before
+        if np.isfinite(value):
+            K = [[P[0][0] / (P[0][0] + R)], [P[1][0] / (P[0][0] + R)]]
+            news = [[Fraction(value) - x[0][0]]]
+            x, P = plus(x, times(K, news)), plus(P, times(K, [P[0]]), -1)
+        steps.append((before, (x, P)))
+    smoothed = [steps[-1][1]]
+    for (_, own), (ahead, _) in zip(steps[-2::-1], steps[:0:-1], strict=True):
+        (a, b), (c, d) = ahead[1]
+        inverse = [[e / (a * d - b * c) for e in row] for row in ([d, -b], [-c, a])]
+        G = times(times(own[1], across(F)), inverse)
+        later = smoothed[0]
+        smoothed.insert(
+            0,
+            (
+                plus(own[0], times(G, plus(later[0], ahead[0], -1))),
+                plus(own[1], times(times(G, plus(later[1], ahead[1], -1)), across(G))),
+            ),
+        )
+    return [np.array(m, float)[:, 0] for m, _ in smoothed], [
+        np.array(c, float) for _, c in smoothed
+    ]
+
+
+@pytest.mark.parametrize("name", ["square_root_rts", "two_filter", "rts"])
+def test_smoothers_of_a_root_filter_keep_its_means_and_not_all_digits_of_its_covariances(name):
+    """A prior 1e12 times as uncertain as R, and nothing measured at first: what docs/explanation/smoothers.md says."""
+    z = np.random.default_rng(4).normal(size=(6, 2))
+    z[:2] = np.nan
+    sensor = position(0.01)
+    prior = tk.Gaussian(np.zeros(4), np.diag([1e8, 1e8, 1e2, 1e2]))
+    motion = constant_velocity(1e-6)
+    est = tk.estimator("square_root", motion=motion, sensor=sensor, smoother=name)
+    found = tk.smooth(est, tk.Record(np.arange(1.0, 7.0), z), prior, start=0.0).smoothed
+    axis = [0, 2]
+    means, covs = exactly_smoothed(z[:, 0], (10**8, 10**2), Fraction(1e-6), Fraction(0.01) ** 2)
+    for k, (mean, cov) in enumerate(zip(means, covs, strict=True)):
+        sigma = np.sqrt(np.diag(cov))
+        ours = found.cov[k][np.ix_(axis, axis)]
+        assert (np.abs(found.mean[k][axis] - mean) < 1e-7 * sigma).all()
+        assert (np.abs(ours - cov) < 5e-3 * np.outer(sigma, sigma)).all()
+        if name == "square_root_rts":
+            scaled = ours / np.sqrt(np.outer(np.diag(ours), np.diag(ours)))
+            assert np.linalg.eigvalsh(scaled)[0] > -1e-15
