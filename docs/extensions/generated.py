@@ -135,11 +135,8 @@ def _verb(meaning: str) -> str:
 def _entry(component: Any) -> list[str]:
     from tracker.registry import describe_parameters
 
-    source = f"paper {component.paper}" if component.paper.isdigit() else component.paper
-    if component.equations:
-        source += f", eq. {', '.join(component.equations)}"
     lines = [f"### `{component.name}`", "", _sentence(component.summary), ""]
-    lines += [f"Source: {source}. Tags: {', '.join(component.tags) or 'none'}."]
+    lines += [f"Source: {component.source}. Tags: {', '.join(component.tags) or 'none'}."]
     lines += [f"Code: {{py:obj}}`{component.target.replace(':', '.')}`.", ""]
     if component.missing():
         return lines

@@ -6,7 +6,7 @@ Paths that are chosen for what they let one see are planners' business.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any
 
 import attrs
 import numpy as np
@@ -66,8 +66,8 @@ class Straight:
     [[0.0, 6.0], [1.0, 1.0]]
     """
 
-    place: Array = attrs.field(converter=_vector)
-    velocity: Array = attrs.field(converter=_vector, validator=_like_place)
+    place: Annotated[Array, "m"] = attrs.field(converter=_vector)
+    velocity: Annotated[Array, "m/s"] = attrs.field(converter=_vector, validator=_like_place)
 
     @velocity.default
     def _still(self) -> Array:
@@ -100,10 +100,10 @@ class Weaving:
     [10.0]
     """
 
-    place: Array = attrs.field(converter=_vector)
-    velocity: Array = attrs.field(converter=_vector, validator=_like_place)
-    sway: Array = attrs.field(converter=_vector, validator=_like_place)
-    period: float
+    place: Annotated[Array, "m"] = attrs.field(converter=_vector)
+    velocity: Annotated[Array, "m/s"] = attrs.field(converter=_vector, validator=_like_place)
+    sway: Annotated[Array, "m/s"] = attrs.field(converter=_vector, validator=_like_place)
+    period: Annotated[float, "s"]
 
     def __attrs_post_init__(self) -> None:
         if not (np.isfinite(self.period) and self.period > 0.0):

@@ -67,8 +67,11 @@ NOTES = (
         "the first 24 steps alone, in which S is that of the wrong R, would cost twice what Table 3-2 prints for all 500."
     ),
     (
-        "Typographic slips that no test can show: equation numbers 3-13 and 3-19 are used twice, chapter 3 refers to "
-        "eq. 3-1 for several others, chapter 5 to eq. 4-23 and 4-24 for 5-23 and 5-24."
+        "Figures left out, as nothing in them is computed: all of chapters 1 and 2 (sonar, noise at sea, cycles of the "
+        "filters); 3-1 to 3-6, flow charts of the optimisers and of the fuzzy system; 4-3 and 5-2, the blocks of both "
+        "simulations. What the blocks do is here: trajectory, delays or angles and their noise are the scenarios, the "
+        "exact ranges of block 3 are held to those of block 1 by a test, and samples are not held, as they come at "
+        "every step of the filter."
     ),
     (
         "Ours, and not the thesis's: bounds of the fuzzy parameters (centres within twice the largest mismatch, widths 2 "
