@@ -169,7 +169,8 @@ def singular_root(P: Any, scale: Any) -> Any:
 
     What is left of variances of size ``scale`` is taken in the order of its share of them; shares as
     small as rounding are nothing, where a factor in the order of the components would divide by them.
-    Of a matrix that is not positive semi-definite, no variance in ``B B'`` is larger than in P.
+    Of a matrix that is not positive semi-definite, no variance in ``B B'`` is larger than in P, but for
+    rounding.
 
     Shapes:
         P ``(n, n, *batch)``; scale ``(n, *batch)``; result ``(n, n, *batch)``, of any structure.
@@ -178,6 +179,9 @@ def singular_root(P: Any, scale: Any) -> Any:
     """
     n, left = len(P), P
     units = [where(less(0.0, s), 1.0 / where(less(0.0, s), s, 1.0), 0.0) for s in scale]
+    rounding = (_ROUNDING * n * scale).reshape(
+        n, *scale.shape[1:], *(1,) * (P.ndim - 1 - scale.ndim)
+    )
     root = np.zeros_like(P)
     for k in range(n):
         most, square, column = left[0, 0] * units[0], left[0, 0], left[:, 0]
@@ -189,7 +193,7 @@ def singular_root(P: Any, scale: Any) -> Any:
             column = where(larger, left[:, j], column)
         known = less(_ROUNDING * n, most)
         column = column * where(known, 1.0 / sqrt(where(known, square, 1.0)), 0.0)
-        column = _within(column, diagonal(left))
+        column = _within(column, diagonal(left), rounding)
         root[:, k] = column
         left = left - symmetric_product(column[:, None], column[:, None])
     total: Any = 0.0
@@ -201,9 +205,9 @@ def singular_root(P: Any, scale: Any) -> Any:
     return root
 
 
-def _within(column: Any, left: Any) -> Any:
-    """Entries whose squares are no larger than what is left of the variances."""
-    most, own = maximum(left, 0.0), column * column
+def _within(column: Any, left: Any, rounding: Any) -> Any:
+    """Entries whose squares are no larger than what is left of the variances, but for rounding."""
+    most, own = maximum(left, 0.0) + rounding, column * column
     over = less(most, own)
     return column * where(over, most / where(over, own, 1.0), 1.0)
 
