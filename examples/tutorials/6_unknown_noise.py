@@ -20,10 +20,13 @@ plt.style.use(STYLE)
 # %%
 # What wrong noise does
 # ---------------------
-# The scenario tells its estimators R = diag(8, 1), while the truth is measured with R = diag(0.8, 9).
-# With ``told=True`` it tells them the truth: the best that adapting could reach.
+# The scenario tells its estimators another R than the truth is measured with. With ``told=True`` it tells
+# them the truth: the best that adapting could reach.
 
 scene, right = tk.scenario("flying_object"), tk.scenario("flying_object", told=True)
+told, true = (np.diag(one.sensor.R(one.prior.mean, None)) for one in (scene, right))
+print("R told:", told.round(2), " R in truth:", true.round(2))
+
 filters = {
     "told wrongly": scene.estimator("kf"),
     "told the truth": right.estimator("kf"),
@@ -62,11 +65,9 @@ for name, estimator in adaptive.items():
     for i, ax in enumerate(axes):
         style = {"color": colours[name], "linewidth": widths.get(name, 1.6)}
         ax.semilogy(scene.t, used[:, i, i, 0], label=name, **style)
-for ax, truth, told, words in zip(
-    axes, (0.8, 9.0), (8.0, 1.0), ("position [m²]", "velocity [(m/s)²]"), strict=True
-):
-    ax.axhline(truth, color=INK, linestyle="--", linewidth=1.2, label="true")
-    ax.axhline(told, color=INK, linestyle=":", linewidth=1.2, label="told")
+for i, (ax, words) in enumerate(zip(axes, ("position [m²]", "velocity [(m/s)²]"), strict=True)):
+    ax.axhline(true[i], color=INK, linestyle="--", linewidth=1.2, label="true")
+    ax.axhline(told[i], color=INK, linestyle=":", linewidth=1.2, label="told")
     ax.set(ylabel=f"R used, {words}", xlim=(0, 500), ylim=(0.4, 16.0))
     plain_numbers(ax.yaxis)
 axes[1].set_xlabel("time [s]")
@@ -117,8 +118,8 @@ said = {
     ),
     "So does who had data beforehand, and need not adapt.": ratio["R from ten flights"].high < 1.03,
 }
-for words, true in said.items():
-    assert true, words
+for words, holds in said.items():
+    assert holds, words
     print(words)
 
 # %%

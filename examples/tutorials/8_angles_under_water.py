@@ -137,8 +137,8 @@ said = {
         one["strong tracking"].low > one["EKF, told wrongly"].high for one in (*wrong, *fair)
     ),
 }
-for words, true in said.items():
-    assert true, words
+for words, holds in said.items():
+    assert holds, words
     print(words)
 
 # %%
