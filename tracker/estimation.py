@@ -328,7 +328,7 @@ class Estimator:
         if why and not mixed.reason(self):
             lines = [f"runs as compiled steps around a sensor on arrays: {why}"]
         elif why and isinstance(self.filter, WorksRecords):
-            stepwise = _why_not_whole(self)
+            stepwise = why_not_whole(self)
             lines = [
                 f"runs step by step: {stepwise}" if stepwise else "runs compiled, whole records"
             ]
@@ -567,7 +567,7 @@ def _filtered(
         draws = generators[tile] if isinstance(generators, list) else generators
         with at_once():
             begun = some[1]
-            if kept is None and record.z.size and not _why_not_whole(part):
+            if kept is None and record.z.size and not why_not_whole(part):
                 begun = begin(part.filter, None, part.motion, part.sensors, begun, None, draws)
                 if part.filter.whole(begun, part.motion, part.sensors, some[0], start, whole):  # type: ignore[attr-defined]
                     return
@@ -583,7 +583,7 @@ def _filtered(
     return attrs.evolve(history, beliefs=beliefs)
 
 
-def _why_not_whole(estimator: Estimator) -> str:
+def why_not_whole(estimator: Estimator) -> str:
     """In words, why the filter itself does not work whole records (`WorksRecords`), or ''."""
     if not isinstance(estimator.filter, WorksRecords):
         return f"filter {type(estimator.filter).__name__} works step by step"
@@ -1001,4 +1001,5 @@ __all__ = [
     "steps",
     "tiles",
     "together",
+    "why_not_whole",
 ]

@@ -107,7 +107,9 @@ def _compared(name: str, scene: Scenario, smoother: str | None, runs: int, seed:
     )
     monte_carlo({name: estimator}, scene, 1, seed)  # compiles
     campaign = monte_carlo({name: estimator}, scene, runs, seed)
-    return Compared(name, campaign, not reason(estimator))
+    return Compared(
+        name, campaign, not reason(estimator) or not estimation.why_not_whole(estimator)
+    )
 
 
 def _cells(row: dict[str, Any], runs: int) -> tuple[str, ...]:
