@@ -22,6 +22,7 @@ from tracker.algebra import (
     triangularise,
     whiten,
 )
+from tracker.algebra.solving import dot
 from tracker.errors import CapabilityError, TraceError, wording
 from tracker.models import absolute, isnan, less, log, sqrt, where
 from tracker.models.graph import plain
@@ -241,7 +242,7 @@ def _paired(
     tilt = whiten(root, apply(transpose(Y), future.s))
     found = whole[n, :n] + tilt
     e, left = whiten_across(root, found), whole[n, n]
-    fit = _dot(future.s, m) + 0.5 * (_dot(tilt, found + whole[n, :n]) - left * left)
+    fit = dot(future.s, m) + 0.5 * (dot(tilt, found + whole[n, :n]) - left * left)
     for i in range(n):
         fit = fit - log(root[i, i])
     # What e does not tell of the state, and what is left of e: both are sums of congruences.
@@ -266,22 +267,15 @@ def _certain(P: Any) -> Any:
     n = len(P)
     L = np.zeros_like(P)
     for j in range(n):
-        pivot = P[j, j] - _dot(L[j, :j], L[j, :j])
+        pivot = P[j, j] - dot(L[j, :j], L[j, :j])
         known = less(CERTAIN * P[j, j], pivot)
         lost = where(isnan(pivot), math.nan, 0.0)
         size = sqrt(where(known, pivot, 1.0))
         L[j, j] = plain(where(known, size, lost))
         inverse = where(known, 1.0 / size, lost)
         for i in range(j + 1, n):
-            L[i, j] = plain((P[i, j] - _dot(L[i, :j], L[j, :j])) * inverse)
+            L[i, j] = plain((P[i, j] - dot(L[i, :j], L[j, :j])) * inverse)
     return L
-
-
-def _dot(a: Any, b: Any) -> Any:
-    total: Any = 0.0
-    for u, v in zip(a, b, strict=True):
-        total = total + u * v
-    return total
 
 
 def _same_modes(mixture: ModeMixture, modes: Sequence[Any]) -> None:
