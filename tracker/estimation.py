@@ -336,9 +336,12 @@ class Estimator:
             name = getattr(model, "name", type(model).__name__)
             reason = getattr(model, "why_opaque", "it is not written over components")
             lines.append(f"{role} {name}: {'opaque, ' + reason if reason else 'traced'}")
-        blind = "" if self.smoother is None else unseen(self.filter, self.motion, self.smoother)
-        if blind:
-            lines.append(blind)
+        if self.smoother is not None:
+            why = compiled.why_not_backwards(self)
+            how = f"goes back on arrays: {why}" if why else "goes back in compiled steps"
+            lines.append(f"smoother {type(self.smoother).__name__}: {how}")
+            blind = unseen(self.filter, self.motion, self.smoother)
+            lines += [blind] if blind else []
         if self.adapter is not None:
             tuned = " and ".join(self.adapter.tunes)
             lines.append(f"adapter {type(self.adapter).__name__}: re-tunes {tuned}")

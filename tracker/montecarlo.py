@@ -30,7 +30,7 @@ from tracker.metrics.consistency import (
 from tracker.metrics.errors import error, squared_position_error
 from tracker.metrics.observability import blind_spots, scenario_observability
 from tracker.metrics.resampling import ratio_of_medians
-from tracker.recursion import is_random
+from tracker.recursion import is_random, unseen
 from tracker.simulation import Scenario, Simulation, stream
 from tracker.types import Array, History, brief
 
@@ -172,6 +172,8 @@ class Campaign:
     seconds: Mapping[str, float] = attrs.field(factory=dict, repr=False)
     blind: Any = attrs.field(default=(), repr=False)
     """The scenario, whose blind spots are looked for when asked; or, from a file, their words."""
+    unseen: Mapping[str, str] = attrs.field(factory=dict, repr=False)
+    """In words, what a smoother does not see of a filter's beliefs, by estimator."""
 
     # -------------------------------------------------------------------------- in words
     def rows(self) -> list[dict[str, Any]]:
@@ -294,6 +296,7 @@ class Campaign:
                     f"{DIVERGED:g} times the median, or not finite), {int(scores.unaware.sum())} of "
                     "them without knowing it (NEES of the run above 3 n): read medians, not means."
                 )
+        out += [f"{name} (smoother): {words}" for name, words in self.unseen.items()]
         return out + [f"{self.scenario}: {words}" for words in self.unobservable]
 
     def __str__(self) -> str:
@@ -404,6 +407,7 @@ class Campaign:
             "stages": stages,
             "sources": dict(self.sources),
             "unobservable": list(self.unobservable),
+            "unseen": dict(self.unseen),
         }
         save_arrays(Path(path), arrays, metadata)
         return Path(path)
@@ -455,6 +459,7 @@ def load_campaign(path: str | Path) -> Campaign:
         scores,
         metadata["sources"],
         blind=tuple(metadata.get("unobservable", ())),
+        unseen=metadata.get("unseen", {}),
     )
 
 
@@ -540,6 +545,11 @@ def monte_carlo(
         {k: v.cite() for k, v in named.items()},
         {k: sum(seconds[k] for _, seconds in done) for k in named},
         scenario,
+        {
+            k: words
+            for k, v in named.items()
+            if v.smoother is not None and (words := unseen(v.filter, v.motion, v.smoother))
+        },
     )
 
 

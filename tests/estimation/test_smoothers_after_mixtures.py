@@ -54,6 +54,42 @@ def test_a_smoother_of_moments_after_a_mixture_says_what_it_does_not_see(rule, s
     assert not any("sees only" in w for w in tk.filter(est, record(), PRIOR).warnings())
 
 
+def test_a_campaign_says_so_too(tmp_path):
+    from tracker.montecarlo import load_campaign
+
+    scene = tk.scenario("line", steps=10, axes=2)
+    motion = switching([scene.motion, WILD], [[0.9, 0.1], [0.3, 0.7]])
+    estimators = {
+        name: tk.estimator("imm", motion=motion, sensor=scene.sensor, smoother=smoother)
+        for name, smoother in (("blind", "rts"), ("seeing", "imm_smoother"), ("filter", None))
+    }
+    campaign = tk.monte_carlo(estimators, scene, runs=32, seed=1)
+    words = (
+        "blind (smoother): smoother RauchTungStriebel sees only mean and covariance of what filter "
+        "InteractingMultipleModels believes, a mixture of 2 modes, and takes it for one Gaussian: use "
+        "smoother 'imm_smoother'."
+    )
+    again = load_campaign(campaign.save(tmp_path / "campaign.npz"))
+    for one in (campaign, again):
+        assert [w for w in one.warnings() if "sees only" in w] == [words]
+        assert words in one.summary("rmse")
+
+
+def test_an_explanation_tells_how_a_smoother_goes_back(interpretation):
+    with_rts = built("imm", "rts").explain()
+    if interpretation == "arrays":
+        assert "smoother RauchTungStriebel: goes back on arrays: TRACKER_COMPILE=off" in with_rts
+        return
+    assert "smoother RauchTungStriebel: goes back in compiled steps" in with_rts
+    assert (
+        "smoother ModeSmoother: goes back in compiled steps"
+        in built("imm", "imm_smoother").explain()
+    )
+    several = switching([CALM] * 5, np.full((5, 5), 0.2))
+    told = built("imm", "imm_smoother", several).explain()
+    assert "cannot be traced: 5 modes of 4 components are too many to unroll" in told
+
+
 def test_smoothing_by_hand_says_so_too():
     history = tk.filter(built("imm", None), record(), PRIOR)
     assert "sees only" not in history.summary()
