@@ -254,10 +254,9 @@ class Trials:
             record, prior, truth = self._repeated(values.shape[1])
             lanes = self._lanes(values)
             ready = compiled.prepared(lanes, record, prior, self.start, keep, truth)
-        for group, row in zip(self.places, values, strict=True):
-            repeated = np.repeat(row, self.runs)
+        for group, row in zip(self.places, np.repeat(values, self.runs, axis=1), strict=True):
             for owner, name in group:
-                ready.put(f"{owner}.{name}", repeated)
+                ready.put(f"{owner}.{name}", row)
         if self._begins:
             ready.begin(self._lanes(values))
         ready()

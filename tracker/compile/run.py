@@ -407,7 +407,8 @@ class Prepared:
 
     def put(self, name: str, values: Array) -> None:
         """Other values ``(lanes,)`` of a number that differs per lane, such as "motion.density"."""
-        self.arrays[name][:] = tile(values[None])
+        # Lanes lie in a row; what fills up the last group is nobody's, and may keep its numbers.
+        self.arrays[name].reshape(-1)[: len(values)] = values
 
     def begin(self, estimator: Any) -> None:
         """Begin as this estimator does, which differs from the first in numbers alone."""
