@@ -21,6 +21,7 @@ __all__ = [
     "untuned",
     "with_noise",
     "with_process_noise",
+    "with_relative_noise",
     "with_scaled_noise",
     "with_scaled_process_noise",
 ]
@@ -79,6 +80,7 @@ class _OtherNoise:
     _model: Any
     _name: str
     _noise: Any
+    _relative: bool = False
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # copying and pickling ask for these before there is a model
@@ -93,8 +95,13 @@ class _OtherNoise:
 
     def R(self, x: Array, pose: Any = None) -> Array:
         """Covariance of the measurement noise."""
-        own = self._name == "R"
-        return _beside(self._noise, x) if own else self._model.R(x, pose)  # type: ignore[no-any-return]
+        if self._name != "R":
+            return self._model.R(x, pose)  # type: ignore[no-any-return]
+        noise = _beside(self._noise, x)
+        if not self._relative:
+            return noise  # type: ignore[no-any-return]
+        own = self._model.R(x, pose)
+        return _scaled(noise, np.stack([own[i, i] for i in range(len(own))]))  # type: ignore[no-any-return]
 
     def lanes(self, index: Any) -> _OtherNoise:
         """The same model cut to some lanes."""
@@ -134,6 +141,15 @@ def _beside(noise: Any, x: Any, axes: int = 2) -> Any:
 def with_noise(sensor: SensorModel, R: Any) -> SensorModel:
     """The sensor with another covariance of the measurement noise, ``(m, m)`` or ``(m, m, *batch)``."""
     return _OtherNoise(sensor, "R", R)
+
+
+def with_relative_noise(sensor: SensorModel, R: Any) -> SensorModel:
+    """The sensor with another covariance, in its own standard deviations, ``(m, m)`` or ``(m, m, *batch)``.
+
+    Entry (i, j) is times sigma_i sigma_j of the sensor: what remains its own is how they depend on
+    state and pose. Its correlations in place of R make it as it was.
+    """
+    return _OtherNoise(sensor, "R", R, relative=True)
 
 
 def with_process_noise(motion: MotionModel, Q: Any) -> MotionModel:

@@ -17,7 +17,7 @@ from tracker.protocols import MotionModel, SensorModel
 from tracker.types import Gaussian, Step
 from tracker_adaptive.fuzzy_measurement_noise import Scaled
 from tracker_adaptive.mismatch import Squares, diagonal_of
-from tracker_adaptive.settings import between
+from tracker_adaptive.settings import between, unit_name
 from tracker_kalman.inner import at_least
 
 OWN = ("scale", "floor")
@@ -104,16 +104,18 @@ class NeuralMeasurementNoise:
     """Each variance of the measurement noise is moved by a neural network that reads its mismatch.
 
     As 'fuzzy_measurement_noise', with a network where the fuzzy system is: with ``DOM = S - C``,
-    ``R(i,i) <- R(i,i) + unit * N(DOM(i,i) / unit)``, the unit being ``scale`` times the sensor's own
-    variance, never below ``floor`` times it. What was not measured teaches nothing; nothing moves
-    until a window has passed of which half was measured. Train it with `tracker.optimise`: it needs
-    no gradient, nor a library for it.
+    ``R(i,i) <- R(i,i) + unit * N(DOM(i,i) / unit)``, never below ``floor`` times the sensor's own
+    variance; the unit is ``scale`` times that (``unit="given"``), or times the present one
+    (``unit="present"``: an R that is wrong by orders of magnitude is found from either side). What was
+    not measured teaches nothing; nothing moves until a window has passed of which half was measured.
+    Train it with `tracker.optimise`: it needs no gradient, nor a library for it.
 
     Args:
         network: one for all components, or one for each; None, one that was made by hand.
         scale: the input's and output's unit, in variances of the sensor.
         window: steps in the mean of squares.
         floor: least variance, in variances of the sensor.
+        unit: "given" or "present".
 
     Raises:
         DomainError: for numbers out of range, or networks that do not fit the sensor.
@@ -125,6 +127,7 @@ class NeuralMeasurementNoise:
     scale: Any = attrs.field(default=0.125, validator=between(0.0, np.inf, OWNER))
     window: int = attrs.field(default=25, validator=at_least(1, OWNER))
     floor: Any = attrs.field(default=1e-3, validator=between(0.0, np.inf, OWNER))
+    unit: str = attrs.field(default="given", converter=unit_name)
 
     tunes = ("R",)
 
@@ -157,7 +160,8 @@ class NeuralMeasurementNoise:
         found = np.empty_like(memory.scale)
         for i in range(len(v)):
             network = self.network[i if len(self.network) > 1 else 0]
-            moved = memory.scale[i] + self.scale * network(dom[i] / (self.scale * own[i]))
+            unit = self.scale * (memory.scale[i] if self.unit == "present" else 1.0)
+            moved = memory.scale[i] + unit * network(dom[i] / (unit * own[i]))
             moved = where(trusted[i], maximum(moved, self.floor), memory.scale[i])
             found[i] = where(missing[i], memory.scale[i], moved)
         return Scaled(squares, found)
@@ -212,4 +216,4 @@ class NeuralMeasurementNoise:
     @property
     def structure(self) -> tuple[Any, ...]:
         """All but the numbers."""
-        return (self.window, tuple(len(one.weight) for one in self.network))
+        return (self.window, self.unit, tuple(len(one.weight) for one in self.network))
