@@ -186,17 +186,19 @@ def _as_it_is(state: Particles) -> Particles:
 def _passes(
     count: int, motion: MotionModel, sensors: Sequence[SensorModel], dt: Array, inputs: int
 ) -> records.Passes | str:
-    roots = records.roots(motion, dt)
-    if isinstance(roots, str):
-        return roots
-    n, columns = roots[0].shape[1:]
+    found = records.roots(motion, dt)
+    if isinstance(found, str):
+        return found
+    columns, noise = found
+    if columns is None:  # a child's would be its parent's, which is chosen later
+        return f"the noise of motion {records.name_of(motion)!r} differs from particle to particle"
+    n = motion.space.size
     ahead = twofold.moving(motion, columns, inputs)
     weighs = [twofold.weighing(sensor, n) for sensor in sensors]
     why = records.passes_of(motion, sensors, ahead, weighs)
     if why:
         return why
     counted = [(done, [*own, float(count), 0.0], flags) for done, own, flags in weighs]
-    noise = roots[0].reshape(-1, n * columns), roots[1]
     return records.Passes(ahead, counted, noise, columns, rows=2 * n + 1, pace=2)
 
 

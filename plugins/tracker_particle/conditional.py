@@ -26,13 +26,14 @@ from tracker.algebra import (
 from tracker.compile.fuse import structure, vector
 from tracker.compile.program import Rate
 from tracker.errors import TraceError
-from tracker.models.functions import exp, isnan, less, log, sqrt, where
+from tracker.models.functions import exp, isnan, less, log, where
 from tracker.models.linearise import linearise
 from tracker_particle.kernels import (
     SHARP,
     Pass,
     Rows,
     conditioned,
+    factored,
     made_for,
     mean_and_covariance,
     normals,
@@ -40,7 +41,6 @@ from tracker_particle.kernels import (
     upper,
     with_numbers,
 )
-from tracker_particle.propagation import ROUNDING
 
 DIFFERS = "its Jacobian by the linear components, or its noise, differs from particle to particle"
 
@@ -109,7 +109,9 @@ def _ahead(key: _Ahead) -> Pass:
         raise TraceError(DIFFERS)
     cov = symmetric_product(product(A, P), A) + Q
     inner, cross = cov[np.ix_(others, others)], cov[np.ix_(own, others)]
-    G, whole = _root(inner)
+    G, gone = factored(inner)
+    # The arrays drop columns that are gone, and draw for the others alone.
+    whole = where(less(gone, 0.5), 1.0, where(less(k - 0.5, gone), 1.0, 0.0))
     K = gain(cross, inner)
     moved = [sum((G[i][j] * noise[j] for j in range(i + 1)), 0.0) for i in range(k)]
     ahead = list(f)
@@ -213,30 +215,6 @@ def _symmetric(triangle: list[Any]) -> Any:
     for (i, j), entry in zip(upper(size), triangle, strict=True):
         out[i, j] = out[j, i] = entry
     return out
-
-
-def _root(P: Any) -> tuple[list[list[Any]], Any]:
-    """`propagation.factored`, and 1 if all of its columns are there, or none: the arrays drop those that are not,
-    and draw for the others alone.
-    """
-    k = len(P)
-    A: list[list[Any]] = [list(row) for row in P]
-    L: list[list[Any]] = [[0.0] * k for _ in range(k)]
-    gone: Any = 0.0
-    for j in range(k):
-        pivot = A[j][j]
-        there = less(ROUNDING * P[j, j], pivot)
-        here = where(there, 0.0, where(isnan(pivot), 0.0, 1.0))
-        gone = gone + here
-        scale = sqrt(where(less(0.5, here), 1.0, pivot))
-        for i in range(j, k):
-            L[i][j] = where(less(0.5, here), 0.0, A[i][j] / scale)
-        for i in range(j + 1, k):
-            for b in range(j + 1, k):
-                A[i][b] = A[i][b] - L[i][j] * L[b][j]
-    if not k:
-        return L, 1.0
-    return L, where(less(gone, 0.5), 1.0, where(less(k - 0.5, gone), 1.0, 0.0))
 
 
 def _gaussian(

@@ -34,6 +34,9 @@ from tracker.types import Array, Gaussian, Innovation
 from tracker_particle import draws, machine
 from tracker_particle.belief import Particles
 
+ROUNDING = 1e-13
+"""A pivot below this share of its variance is what rounding left of a singular matrix."""
+
 TINY = 1e-140
 """Below this sum of likelihoods, relative to the largest there could be, squares of them lose digits."""
 
@@ -57,10 +60,13 @@ class Pass:
 
 @attrs.frozen
 class _Ahead:
-    """What a prediction bakes in: the motion's structure and how many numbers it is given."""
+    """What a prediction bakes in: the motion's structure and how many numbers it is given.
+
+    ``columns`` of a root of the noise are given; None if every particle has noise of its own.
+    """
 
     structure: tuple[Any, ...]
-    columns: int
+    columns: int | None
     inputs: int
     motion: Any = attrs.field(eq=False)
 
@@ -177,6 +183,34 @@ def normals(pairs: list[tuple[Any, Any]]) -> list[Any]:
     return out
 
 
+def root_of(motion: Any, x: Any, dt: Any, numbers: list[Any]) -> list[list[Any]]:
+    """The root of the noise: of these numbers, ``(n, k)``, or else each particle's own."""
+    n = len(x)
+    if not numbers:
+        return factored(motion.Q(x, dt))[0]
+    return [numbers[i * len(numbers) // n : (i + 1) * len(numbers) // n] for i in range(n)]
+
+
+def factored(P: Any) -> tuple[list[list[Any]], Any]:
+    """`propagation.factored`, and how many of its columns are zero."""
+    n = len(P)
+    A: list[list[Any]] = [list(row) for row in P]
+    L: list[list[Any]] = [[0.0] * n for _ in range(n)]
+    gone: Any = 0.0
+    for j in range(n):
+        pivot = A[j][j]
+        there = less(ROUNDING * P[j][j], pivot)
+        here = where(there, 0.0, where(isnan(pivot), 0.0, 1.0))
+        gone = gone + here
+        scale = sqrt(where(less(0.5, here), 1.0, pivot))
+        for i in range(j, n):
+            L[i][j] = where(less(0.5, here), 0.0, A[i][j] / scale)
+        for i in range(j + 1, n):
+            for b in range(j + 1, n):
+                A[i][b] = A[i][b] - L[i][j] * L[b][j]
+    return L, gone
+
+
 def with_numbers(model: Any, nodes: list[Any]) -> Any:
     """A model with these parameters."""
     if not nodes:
@@ -189,23 +223,25 @@ def _ahead(key: _Ahead) -> Pass:
     """Rows in: x, uniforms in pairs, log weights. Rows out: x. Given: dt, t, u, parameters, root,
     centre. Constants out: where the centre goes.
     """
-    n, k, q = key.motion.space.size, key.columns, key.inputs
+    n, q = key.motion.space.size, key.inputs
+    k = n if key.columns is None else key.columns
     rows = Rows()
     x = vector(rows.rows("x", n))
     pairs = rows.pairs(k)
     weight = exp(rows.row("weight"))
-    parameters = len(key.motion.parameters)
-    given = rows.program.input("given", 2 + q + parameters + n * k + n, Rate.CALL)
+    parameters, numbers = len(key.motion.parameters), n * (key.columns or 0)
+    given = rows.program.input("given", 2 + q + parameters + numbers + n, Rate.CALL)
     dt, t, u = given[0], given[1], given[2 : 2 + q]
     motion = with_numbers(key.motion, given[2 + q : 2 + q + parameters])
     rest = given[2 + q + parameters :]
     noise = normals(pairs)
     inputs = vector(u) if q else None
     ahead = list(motion.f(x, dt, inputs, t))
+    G = root_of(motion, x, dt, rest[:numbers])
     for i in range(n):
         for j in range(k):
-            ahead[i] = ahead[i] + rest[i * k + j] * noise[j]
-    centre = list(motion.f(vector(rest[n * k :]), dt, inputs, t))
+            ahead[i] = ahead[i] + G[i][j] * noise[j]
+    centre = list(motion.f(vector(rest[numbers:]), dt, inputs, t))
     rows.out("ahead", ahead)
     d = [a - c for a, c in zip(ahead, centre, strict=True)]
 
@@ -310,24 +346,27 @@ def gaussian(centre: list[Any], sums: list[Any], total: Any) -> list[Any]:
 
 # ------------------------------------------------------------------------------------ running
 def ahead(
-    state: Particles, motion: MotionModel, dt: Any, u: Any, t: Any, root: Array
+    state: Particles, motion: MotionModel, dt: Any, u: Any, t: Any, root: Array | None
 ) -> Particles | None:
-    """The belief after the motion, as `propagation.propagated` has it; root ``(n, k, 1)``."""
-    if not _runs(state) or type(dt) is not float or root.ndim != 3 or root.shape[2] != 1:
+    """The belief after the motion, as `propagation.propagated` has it; root ``(n, k, 1)``, or None where
+    particles have noise of their own.
+    """
+    if not _runs(state) or type(dt) is not float or (root is not None and root.shape[2:] != (1,)):
         return None
     inputs = [] if u is None else np.asarray(u).tolist()
     n, count = state.points.shape
-    k = root.shape[1]
+    k = None if root is None else root.shape[1]
     found = moving(motion, n, k, len(inputs))
     if type(found) is str:
         return None
     done, parameters, flags = found
     time = 0.0 if t is None else t
-    given = (dt, time, *inputs, *parameters, *root.ravel().tolist(), *_centre(state))
+    flat = [] if root is None else root.ravel().tolist()
+    given = (dt, time, *inputs, *parameters, *flat, *_centre(state))
     full = filled(count)
     out, left = numbers(n * full)(), done.left()
     points, weights = _memory(state)
-    drawn = _scratch.of(drawing(k) * full)
+    drawn = _scratch.of(drawing(n if k is None else k) * full)
     third = draws.word(state.step, draws.NOISE)
     done.call(
         full, *state.key.tolist(), third, points, weights, drawn, numbers(len(given))(*given), out, left
@@ -517,7 +556,7 @@ def _runs(state: Particles) -> bool:
     return state.points.ndim == 2 and _ENVIRONMENT.get(_NAME) != _OFF and _available()
 
 
-def moving(motion: Any, n: int, columns: int, inputs: int) -> Any:
+def moving(motion: Any, n: int, columns: int | None, inputs: int) -> Any:
     """The pass of a motion, its parameters and its circular components, or in words why there is none."""
     return made_for(_made_ahead, motion, (n, columns, inputs))
 
@@ -557,7 +596,7 @@ def _on_lines(model: Any) -> tuple[bool, ...]:
     return flags
 
 
-def _made_ahead(motion: Any, size: tuple[int, int, int]) -> Pass:
+def _made_ahead(motion: Any, size: tuple[int, int | None, int]) -> Pass:
     if motion.space.size != size[0]:
         raise TraceError("it moves other states than these")
     return _ahead(_Ahead(structure(motion), *size[1:], motion))

@@ -288,6 +288,10 @@ class MarginalisedFilter:
             linear, n = _places(self.linear, motion.space), motion.space.size
         except TrackerError as error:  # `begin` says so, too
             return str(error)
+        if records.differs(motion):
+            return (
+                f"the noise of motion {records.name_of(motion)!r} differs from particle to particle"
+            )
         if not linear:
             return "no component is linear"
         noise, place = records.by_time_step(dt, motion.Q, n)

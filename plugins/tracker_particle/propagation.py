@@ -16,8 +16,6 @@ from tracker_particle.belief import Particles, effective_sample_size, even, spre
 from tracker_particle.resampling import SYSTEMATIC, Ancestors, Scheme
 
 _GRAIN = 1e-9
-ROUNDING = 1e-13
-"""A pivot below this share of its variance is what rounding left of a singular matrix."""
 
 
 def wide(value: Any) -> Any:
@@ -55,7 +53,7 @@ def factored(P: Array) -> Array:
     A, L = np.array(P), np.zeros(P.shape)
     for j in range(n):
         pivot = A[j, j]
-        gone = pivot <= ROUNDING * P[j, j]  # NaN is not gone
+        gone = pivot <= kernels.ROUNDING * P[j, j]  # NaN is not gone
         np.divide(A[j:, j], np.sqrt(pivot), out=L[j:, j], where=~gone)
         column = L[j + 1 :, j]
         A[j + 1 :, j + 1 :] -= column[:, None] * column
@@ -70,10 +68,13 @@ def noise(state: Any, count: int, columns: int) -> Array:
 def propagated(state: Particles, motion: MotionModel, dt: Any, u: Any, t: Any) -> Particles:
     """Each particle through the motion, with noise of its own."""
     points = state.points
-    G = root(motion.Q(points, dt))
+    Q = motion.Q(points, dt)
+    own = 1 < len(state.log_weights) == Q.shape[2]  # every particle has noise of its own
+    G = None if own else root(Q)
     made = kernels.ahead(state, motion, dt, u, t, G)
     if made is not None:
         return made
+    G = root(Q) if G is None else G
     ahead = motion.f(points, dt, wide(u), t)
     if G.shape[1]:
         ahead = ahead + spread(G, noise(state, points.shape[1], G.shape[1]))

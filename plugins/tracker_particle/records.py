@@ -37,14 +37,14 @@ class Passes:
 
     ``noise`` are the numbers that a prediction is given of the process noise: for every time step
     that there is, ``(F, c)``, and which step of the record has which, ``(T, *batch)``. ``columns``
-    are the normals that a particle draws, ``more`` the numbers that belong to a cloud as a whole;
+    are the normals that a particle draws, None for one of each component; ``more`` are the numbers that belong to a cloud as a whole;
     passes need room for ``rows`` rows and take ``pace`` steps of a belief.
     """
 
     ahead: tuple[kernels.Pass, list[float], Any]
     weighs: Sequence[tuple[kernels.Pass, list[float], Any]]
     noise: tuple[Array, Any]
-    columns: int
+    columns: int | None
     more: int = 0
     rows: int = 1
     pace: int = 1
@@ -92,10 +92,6 @@ def why_not(passes: Callable[..., Passes | str], motion: Any, sensors: Sequence[
         space = model.space if role == "motion" else model.state
         if any(space.circular):
             return f"a component of the state of {role} {name_of(model)!r} lives on a circle"
-    with np.errstate(all="ignore"):
-        shape = motion.Q(np.zeros((motion.space.size, 2)), 1.0).shape
-    if shape[2:] != (1,):
-        return f"the noise of motion {name_of(motion)!r} differs from particle to particle"
     inputs = getattr(motion, "input_space", None)
     found = passes(motion, sensors, np.ones(1), 0 if inputs is None else inputs.size)
     return found if isinstance(found, str) else ""
@@ -116,8 +112,8 @@ def filtered(
     times[1:] = record.t
     inputs = 0 if record.u is None else record.u.shape[1]
     passes = rule.passes(motion, sensors, times[1:] - times[:-1], inputs)
-    if isinstance(passes, str):
-        return False
+    if isinstance(passes, str) or (passes.columns is None and state.log_weights.shape[0] == 1):
+        return False  # a single particle's noise is that of all
     made = _Loop.of(rule, passes, motion, sensors, record, times, state.log_weights.shape[0])
     for at in np.ndindex(*record.batch):
         made.run(alone.cut(state, at), at)
@@ -141,13 +137,14 @@ def usual_passes(
     found = roots(motion, dt)
     if isinstance(found, str):
         return found
-    n, columns = found[0].shape[1:]
+    columns, noise = found
+    n = motion.space.size
     ahead = kernels.moving(motion, n, columns, inputs)
     weighs = [kernels.weighing(s, n, s.space.size, s.pose_space.size) for s in sensors]
     why = passes_of(motion, sensors, ahead, weighs)
     if why:
         return why
-    return Passes(ahead, weighs, (found[0].reshape(-1, n * columns), found[1]), columns)
+    return Passes(ahead, weighs, noise, columns)
 
 
 def _later(
@@ -178,18 +175,27 @@ def by_time_step(dt: Array, compute: Callable[[Array, Array], Array], n: int) ->
     return np.broadcast_to(found, (*found.shape[:-1], len(few))), place.reshape(dt.shape)
 
 
-def roots(motion: MotionModel, dt: Array) -> tuple[Array, Any] | str:
-    """Roots of the noise for every time step that there is, ``(F, n, k)``, and which step has which.
+def differs(motion: MotionModel) -> bool:
+    """Whether the noise of a motion differs from particle to particle."""
+    with np.errstate(all="ignore"):
+        return motion.Q(np.zeros((motion.space.size, 2)), 1.0).shape[2:] != (1,)
+
+
+def roots(motion: MotionModel, dt: Array) -> tuple[int | None, tuple[Array, Any]] | str:
+    """How many columns a root of the noise has, and its entries, ``(F, n k)``, as `Passes.noise` has them.
 
     They are those of `propagation.root`: which columns there are decides about the draws. In words why
-    not if columns come and go.
+    not if columns come and go; None, and no entries, where particles have noise of their own.
     """
+    if differs(motion):
+        return None, (np.empty((1, 0)), np.zeros(dt.shape, np.intp))
     full, place = by_time_step(dt, lambda x, few: factored(motion.Q(x, few)), motion.space.size)
     there = (full != 0.0).any(axis=0)
     some, columns = there.any(axis=0), there.any(axis=1)
     if (there[:, some] != columns[:, None]).any():
         return f"the columns of the noise of motion {name_of(motion)!r} come and go"
-    return np.ascontiguousarray(np.moveaxis(full[:, columns], 2, 0)), place
+    kept = np.moveaxis(full[:, columns], 2, 0)
+    return int(kept.shape[2]), (kept.reshape(len(kept), -1), place)
 
 
 # ------------------------------------------------------------------------------------- inside
@@ -258,7 +264,13 @@ class _Loop:
         going, found = np.empty((steps, sizes[0])), np.empty((steps, max(sizes[1:])))
         room = max(n, passes.rows)
         clouds = [np.empty((room, full)) for _ in range(3)] + [np.empty(full) for _ in range(2)]
-        scratch = np.empty(max(kernels.drawing(passes.columns), kernels.CHOOSING + n + 1) * full)
+        scratch = np.empty(
+            max(
+                kernels.drawing(n if passes.columns is None else passes.columns),
+                kernels.CHOOSING + n + 1,
+            )
+            * full
+        )
         begins = n + more + n * n + 1
         table = np.array([
             [done.machine.address, _address(look), look.shape[1], begins + m + m * m + 1]

@@ -283,7 +283,7 @@ def test_what_cannot_be_worked_whole_says_why() -> None:
         noise=lambda vx, *, dt: np.diag([0.0, 0.0, dt * (1.0 + vx * vx), dt]).tolist(),
         space=models["motion"].space,
     )  # fmt: skip
-    told = tk.estimator(rule, motion=restless, sensor=models["sensor"]).explain()
+    told = tk.estimator(MarginalisedFilter(), motion=restless, sensor=models["sensor"]).explain()
     assert "differs from particle to particle" in told
     told = tk.estimator(AuxiliaryFilter(resampling="residual"), **models).explain()
     assert "runs step by step: parents are chosen by the residual scheme" in told
@@ -301,9 +301,11 @@ def test_columns_of_noise_that_come_and_go_are_left_to_the_steps() -> None:
     steady = constant_velocity(density=0.5)
     found = records.roots(steady, np.array([0.0, 0.5, 0.2, 0.5]))
     assert not isinstance(found, str)
+    columns, (entries, place) = found
+    assert columns == 4
     for k, dt in enumerate((0.0, 0.5, 0.2, 0.5)):
         own = root(steady.Q(np.zeros((4, 1)), dt))[:, :, 0]
-        whole = found[0][found[1][k]]
+        whole = entries[place[k]].reshape(4, columns)
         assert np.array_equal(whole[:, : own.shape[1]], own)
         assert (whole[:, own.shape[1] :] == 0.0).all()
     late = ComponentMotion(
@@ -321,6 +323,35 @@ def test_columns_of_noise_that_come_and_go_are_left_to_the_steps() -> None:
         for each in (rule, Watched(rule, stepwise=True))
     ]  # fmt: skip
     assert np.array_equal(histories[0].filtered.mean, histories[1].filtered.mean)
+
+
+@pytest.mark.parametrize("count", [1, 2, 104])
+def test_every_particle_may_have_noise_of_its_own(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = tk.scenario("turning_target", steps=30)
+    simulation = scenario.simulate(1, 1)
+    record = tk.Record(simulation.record.t, simulation.record.z[..., 0])
+    models = {"motion": scenario.motion, "sensor": scenario.sensor}
+    prior, start = simulation.prior[0], simulation.start
+    rules = (BootstrapFilter(particles=count), RegularisedFilter(particles=count))
+    for rule in rules[:1] if count < 3 else rules:
+        if count > 1:  # a single particle's is that of all, and loses columns
+            both_ways(rule, models, record, prior, start)
+        histories = []
+        for mode in ("on", "off"):
+            monkeypatch.setenv("TRACKER_COMPILE", mode)
+            histories.append(
+                tk.filter(
+                    tk.estimator(rule, **models), record, prior, start=start,
+                    rng=np.random.default_rng(3),
+                )
+            )  # fmt: skip
+        monkeypatch.setenv("TRACKER_COMPILE", "on")
+        ours, theirs = (history.filtered.mean for history in histories)
+        assert np.abs(ours - theirs).max() < 1e-7 * np.abs(theirs).max()
+    told = tk.estimator(AuxiliaryFilter(particles=count), **models).explain()
+    assert "the noise of motion 'coordinated_turn' differs from particle to particle" in told
 
 
 @pytest.mark.parametrize("count", [1, 5, 8, 64, 1001])
