@@ -180,6 +180,14 @@ class Imperialist:
 
         A world has a handful of empires: plain Python is faster here than arrays.
         """
+        members = np.bincount(empire, None, self.imperialists).tolist()
+        alive = [k for k, size in enumerate(members) if size]
+        if len(alive) == 1:  # who reigns is all that is open
+            reigns, lowest = ruler[alive[0]], cost.argmin()
+            if -_HUGE < cost[lowest] <= cost[reigns] < _HUGE:
+                if cost[lowest] < cost[reigns]:
+                    ruler[alive[0]] = lowest
+                return
         order = cost.argsort(kind="stable")
         ranked, homes, rulers = order.tolist(), empire.tolist(), ruler.tolist()
         if not -_HUGE < cost[ranked[0]] <= cost[ranked[-1]] < _HUGE:
@@ -187,8 +195,6 @@ class Imperialist:
         # Differences are what is seen: from here on a constant added to the costs is gone.
         cost = cost - cost[ranked[0]]
         sums = np.bincount(empire, cost, self.imperialists).tolist()
-        members = np.bincount(empire, None, self.imperialists).tolist()
-        alive = [k for k, size in enumerate(members) if size]
         above = cost.tolist()
         best = {}
         for place in ranked:
