@@ -4,9 +4,14 @@ import re
 from typing import Any
 
 _SECTION = re.compile(
-    r"^(?P<title>Shapes|Units|Raises|Returns|References?|Laws?|Examples?|Notes?):\s*(?P<rest>.*)$"
+    r"^(?P<title>Args|Numbers|Shapes|Units|Raises|Returns|References?|Laws?|Examples?|Notes?):\s*(?P<rest>.*)$"
 )
-_ERRORS = re.compile(r"[A-Z]\w+(, [A-Z]\w+)*: ")
+_ENTRIES = {
+    "Raises": re.compile(r"[A-Z]\w+(, [A-Z]\w+)*: "),
+    "Args": re.compile(r"[a-z_]\w*(, [a-z_]\w*)*: "),
+    "Numbers": re.compile(r"[a-z_]\w*(, [a-z_]\w*)*: "),
+}
+"""How an entry of these sections begins."""
 _CODE = re.compile(r"(``.*?``|`[^`]*`)")
 
 
@@ -39,8 +44,8 @@ def translated(lines: list[str]) -> list[str]:
             inside = False
             out.append("")
         elif inside:
-            if title == "Raises" and _ERRORS.match(text):
-                out.append("")  # each error is a paragraph
+            if title in _ENTRIES and _ENTRIES[title].match(text):
+                out.append("")  # each is a paragraph
             out.append("    " + (line if title.startswith("Example") else escaped(text)))
         else:
             literal = literal and line.startswith(" ")

@@ -113,6 +113,13 @@ def test_sections_of_a_docstring_become_definitions_and_stars_stay_stars() -> No
     ]  # fmt: skip
 
 
+def test_each_number_of_a_docstring_is_a_paragraph_whatever_its_indentation() -> None:
+    house = ["Numbers:", "    one: of two", "        lines.", "    other: of one."]
+    assert docstrings.translated(house) == [
+        "", "Numbers", "", "    one: of two", "    lines.", "", "    other: of one.", "",
+    ]  # fmt: skip
+
+
 def test_the_page_of_papers_names_each_as_the_registry_does() -> None:
     from tracker.registry import PAPERS
 
