@@ -352,8 +352,8 @@ def compiled_agrees_with_arrays(rule: Any, case: Case) -> None:
             with _compiling(mode):
                 record = Record(np.cumsum(gaps), z)
                 rng = [np.random.default_rng(lane) for lane in range(*batch)]
-                known = {"rng": rng} if random else {}
-                found.append(run(_estimator(rule, sensor), record, prior, start=0.0, **known))
+                estimator = _estimator(rule, sensor)
+                found.append(run(estimator, record, prior, start=0.0, rng=rng if random else None))
         arrays, fused = found
         told = f"compiled, a record of {sensor.name} gives another {{}} than on arrays"
         spreads = (arrays.predicted.cov, arrays.filtered.cov)  # particles may know less than before
