@@ -1,8 +1,10 @@
 """The rules of verdicts, the schema of results, and intervals by resampling."""
 
+import base64
 import copy
 import math
 
+import attrs
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,9 +13,11 @@ from hypothesis import strategies as st
 from tracker.errors import ConfigError, ShapeError
 from tracker.metrics.consistency import Interval
 from tracker.metrics.resampling import bootstrap_interval, ratio_of_medians, spread_of_mean
+from tracker.report.reproduction import write_up
 from tracker.reproduction import (
     Claim,
     Erratum,
+    Picture,
     Published,
     Reading,
     Reproduction,
@@ -151,6 +155,26 @@ def made():
         claims=(Claim("1", "All is well.", "x < 1.", {"A": True}, "x = 0.9."),),
         errata=(Erratum("eq. 1", "a", "b", "tests/a.py::test_b"),),
     )
+
+
+def test_a_quick_page_shows_the_png_that_is_kept_beside_it():
+    """One drawing for both; a full page shows vectors instead."""
+    from matplotlib.figure import Figure
+
+    count = []
+
+    def draw():
+        count.append(1)
+        return Figure(figsize=(1, 1))
+
+    one = attrs.evolve(made(), pictures=(Picture("a", "title", "caption", "words", draw),))
+    for quick, form in ((True, "png"), (False, "svg+xml")):
+        text, files = write_up(one, {}, quick=quick)
+        assert text.count(f'src="data:image/{form};base64,') == 1
+        assert files["a"].startswith(b"\x89PNG")
+        shown = base64.b64encode(files["a"]).decode()
+        assert (shown in text) is quick
+    assert len(count) == 2
 
 
 def test_results_obey_their_schema_and_have_null_for_what_is_undefined():

@@ -56,7 +56,7 @@ def reproduce(paper: str, out: str, runs: int | None, seed: int, *, quick: bool)
             quick=quick,
             progress=report,
         )
-    page, pictures = write_up(done, versions())
+    page, pictures = write_up(done, versions(), quick=quick)
     figures = folder_of(str(folder / "figures"))
     for name, picture in pictures.items():
         write(figures / f"{name}.png", picture)

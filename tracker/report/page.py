@@ -124,10 +124,11 @@ def _kind(column: Sequence[str]) -> str:
     return ' class="short"' if all(len(cell) <= _SHORT for cell in column) else ""
 
 
-def figure(svg: bytes, caption: str, alternative: str) -> Markup:
-    """A picture; ``alternative`` says what it shows to those who cannot see it."""
-    data = base64.b64encode(svg).decode("ascii")
+def figure(picture: bytes, caption: str, alternative: str) -> Markup:
+    """A picture, SVG or PNG; ``alternative`` says what it shows to those who cannot see it."""
+    data = base64.b64encode(picture).decode("ascii")
+    form = "png" if picture.startswith(b"\x89PNG") else "svg+xml"
     return Markup(
-        f'<figure><img alt="{html.escape(alternative)}" src="data:image/svg+xml;base64,{data}">'
+        f'<figure><img alt="{html.escape(alternative)}" src="data:image/{form};base64,{data}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
     )

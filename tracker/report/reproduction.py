@@ -40,18 +40,21 @@ def _interval(one: ResultRow) -> str:
 
 
 def write_up(
-    reproduction: Reproduction, versions: Mapping[str, str]
+    reproduction: Reproduction, versions: Mapping[str, str], *, quick: bool = False
 ) -> tuple[str, dict[str, bytes]]:
     """A page that needs no network, and every picture as PNG under its id.
+
+    The page holds pictures as SVG; ``quick``, the same PNG: each is then drawn once.
 
     Raises:
         PluginError: if matplotlib is not installed.
     """
     figures, files = [], {}
     for picture in reproduction.pictures:
-        svg, files[picture.id] = svg_and_png(picture.draw)
+        drawn = svg_and_png(picture.draw, ("png",) if quick else ("svg", "png"))
+        shown, files[picture.id] = drawn[0], drawn[-1]
         title = f"Figure {picture.number}. {picture.title}" if picture.number else picture.title
-        figures.append(html.figure(svg, f"{title}. {picture.caption}", picture.alternative))
+        figures.append(html.figure(shown, f"{title}. {picture.caption}", picture.alternative))
     verdicts = _counted([one.verdict for one in reproduction.rows])
     judgements = _counted([one.verdict for one in reproduction.claims])
     sections = [
