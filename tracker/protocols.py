@@ -278,7 +278,8 @@ class Smoother(Protocol):
     smoothed, motion, dt, u, t)``, over the verbs of `tracker.algebra`, from the moments filtered at k, those
     predicted at k + 1 and the smoothed belief there to the smoothed belief at k. The belief is a Gaussian,
     or what its method ``begin(filtered)`` makes of the last filtered moments: a value as that of a filter
-    (`HasBegin`), with ``moments()``. One that needs the beliefs of a filter may say in ``follows`` which
+    (`HasBegin`), with ``moments()``. One that needs the beliefs of a filter is given these in the place of
+    moments, begins with the last of them by its ``begin``, and may say in ``follows`` which
     registered filter leaves such, and have a method ``why_not_after(filter)`` that says in words why it
     cannot follow another, '' if it can.
 

@@ -308,7 +308,7 @@ def tracker_components(registry: Registry) -> None:
             target="tracker_kalman.imm_smoother:ModeSmoother",
             summary="Fixed-interval smoother of interacting multiple models, pair by pair of modes.",
             paper="Helmick, Blair and Hoffman, Fixed-interval smoothing for Markovian switching systems, 1995",
-            tags=("fixed-interval", "manoeuvre", "mixture"),
+            tags=("fixed-interval", "manoeuvre", "mixture", "traced"),
         )
     )
     registry.add(

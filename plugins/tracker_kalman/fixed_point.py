@@ -22,6 +22,9 @@ class FixedPoint:
     Begin it with the filtered state of the time of interest; `step` it with each later step of the
     filter. Nothing grows: memory and time of a step do not depend on how long ago the time was.
 
+    It smooths one state, not a record, so it is no component of kind "smoother", and runs on arrays: a
+    user steps it by hand. Its step is written over the algebra, and can be part of a traced one.
+
     Shapes:
         mean ``(n, *batch)``; cov, and the regression on the latest state, ``(n, n, *batch)``.
     Reference: Särkkä (2013), Bayesian Filtering and Smoothing, section 10.4; Anderson and Moore (1979),
@@ -36,7 +39,7 @@ class FixedPoint:
 
     @classmethod
     def begin(cls, filtered: Gaussian, smoother: Any = None) -> FixedPoint:
-        """From the filtered state of the time of interest.
+        """From the filtered state ``(n, *batch)`` of the time of interest.
 
         ``smoother`` gives the gains: one with a method ``gain`` or its name, by default `RauchTungStriebel`.
 
@@ -72,7 +75,11 @@ class FixedPoint:
         u: Any = None,
         t: Any = None,
     ) -> FixedPoint:
-        """One step of the filter later: filtered at k, then predicted and filtered at k + 1."""
+        """One step of the filter later: filtered at k, then predicted and filtered at k + 1.
+
+        Shapes:
+            means ``(n, *batch)``, covariances ``(n, n, *batch)``; dt scalar or ``(*batch)``.
+        """
         G = self.smoother.gain(before, predicted, motion, dt, u, t)
         B = product(self.regression, G)
         news = residual(filtered.mean, predicted.mean, motion.space.circular)

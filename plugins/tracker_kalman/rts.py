@@ -74,12 +74,23 @@ def regressed(
 
 
 def begun(smoother: Any, filtered: Gaussian) -> Any:
-    """What a smoother carries backwards from the last filtered moments: those, or a belief of its own."""
+    """What a smoother carries backwards from the last filtered moments: those, or a belief of its own.
+
+    Shapes:
+        filtered ``(n, *batch)``; the belief's are its own.
+    """
     return smoother.begin(filtered) if hasattr(smoother, "begin") else filtered
 
 
 def backwards(smoother: Any, history: History, motion: MotionModel) -> History:
-    """A history smoothed by single steps, from its last estimate, which stays, to its first."""
+    """A history smoothed by single steps, from its last estimate, which stays, to its first.
+
+    ``smoother`` is any with a method ``step``, as of `RauchTungStriebel`, and perhaps a ``begin``.
+
+    Shapes:
+        history of T steps over any batch, with ``(T, n, *batch)`` means; the result has a ``smoothed``
+        trajectory alike.
+    """
     filtered, predicted, t = history.filtered, history.predicted, history.t
     mean, cov = np.empty_like(filtered.mean), np.empty_like(filtered.cov)
     if not len(history):

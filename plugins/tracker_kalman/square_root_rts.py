@@ -39,6 +39,9 @@ class SquareRootRauchTungStriebel:
     is their difference. Digits that only the root of a filter such as "square_root" held are lost, as in `rts`:
     of variances that are 1e12 times as large as R some 1e-4. It computes several times what `rts` does.
 
+    Shapes:
+        moments ``(n, *batch)`` and ``(n, n, *batch)``; the root that is carried ``(n, n, *batch)``, lower
+        triangular.
     Reference: Park and Kailath (1995), Square-root RTS smoothing algorithms; Bierman (1983), A new
         computationally efficient fixed-interval, discrete-time smoother.
     Laws: those of kind "smoother".
@@ -60,7 +63,11 @@ class SquareRootRauchTungStriebel:
         u: Any = None,
         t: Any = None,
     ) -> SquareRootGaussian:
-        """Smoothed mean and root at k, from moments filtered at k and predicted at k + 1."""
+        """Smoothed mean and root at k, from moments filtered at k and predicted at k + 1.
+
+        Shapes:
+            means ``(n, *batch)``, covariances and root ``(n, n, *batch)``; dt scalar or ``(*batch)``.
+        """
         _, F = linearise(motion, filtered.mean, dt, u, t)
         F, L = dense(F), factor(filtered.cov)
         FL = product(F, L)

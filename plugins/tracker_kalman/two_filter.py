@@ -50,6 +50,9 @@ class Meeting:
     """What the filter has found up to a step, and what only later measurements say of the state there.
 
     ``later`` is in deviations from the filtered state.
+
+    Shapes:
+        filtered ``(n, *batch)``; later over the same batch.
     """
 
     filtered: Gaussian
@@ -78,6 +81,8 @@ class TwoFilterSmoother:
     In exact arithmetic it equals `rts`, except after a measurement without any noise. Choose it to
     see what past and future say apart, or to join two filters that ran at different places.
 
+    Shapes:
+        moments ``(n, *batch)`` and ``(n, n, *batch)``; what is carried as in `Meeting` and `Information`.
     Reference: Fraser and Potter (1969); Särkkä (2013), Bayesian Filtering and Smoothing, section 8.3 and
         eq. 8.12-8.15; Kitagawa (1994) for a form that inverts neither Q nor J.
     Laws: those of kind "smoother".
@@ -140,7 +145,11 @@ class TwoFilterSmoother:
         u: Any = None,
         t: Any = None,
     ) -> Meeting:
-        """Past and future at k, from moments filtered at k and predicted at k + 1, and both there."""
+        """Past and future at k, from moments filtered at k and predicted at k + 1, and both there.
+
+        Shapes:
+            means ``(n, *batch)``, covariances ``(n, n, *batch)``; dt scalar or ``(*batch)``.
+        """
         known = self.gathered(predicted, smoothed.filtered, smoothed.later, motion)
         return Meeting(filtered, self.back(known, filtered, predicted, motion, dt, u, t))
 

@@ -18,6 +18,8 @@ def tell(*arguments):
         ("kf", ("position measured", "step program: forward")),
         ("rts", ("after ekf1", "step program: backward", "state   smoothed.P")),
         ("square_root_rts", ("step program: backward", "state   smoothed.carried.root")),
+        ("imm_smoother", ("after imm, two stations, two modes", "input   predicted.carried.prob")),
+        ("gaussian_sum", ("step program: forward", "state   carried.members.cov")),
         ("moving_observer", ("its motion (constant_velocity)", "input   pose0")),
     ],
 )

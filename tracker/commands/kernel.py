@@ -54,8 +54,14 @@ def _example(component: Component) -> tuple[Estimator, str]:
     if component.kind == "adapter":
         words = "example: beside ekf1, two stations that measure azimuth, constant velocity"
         return estimator("ekf1", motion=motion, sensor=sensor, adapter=component.make()), words
-    made = estimator("ekf1", motion=motion, sensor=sensor, smoother=component.make())
-    return made, "example: after ekf1, two stations that measure azimuth, constant velocity"
+    rule, chosen = component.make(), "ekf1"
+    words = "example: after ekf1, two stations that measure azimuth, constant velocity"
+    if hasattr(rule, "step") and "beliefs" in rule.needs:
+        chosen, wild = rule.follows, registry.get("motion", "constant_velocity").make(density=10.0)
+        parts = {"modes": (motion, wild), "transition": ((0.95, 0.05), (0.1, 0.9))}
+        motion = registry.get("motion", "switching").make(**parts)
+        words = f"example: after {chosen}, two stations, two modes of constant velocity"
+    return estimator(chosen, motion=motion, sensor=sensor, smoother=rule), words
 
 
 def _program(component: Component, made: Estimator) -> Program:
