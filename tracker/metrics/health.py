@@ -19,6 +19,7 @@ from tracker.metrics.observability import (
     noise_free_path,
     observability,
 )
+from tracker.metrics.silence import silences
 from tracker.recursion import unseen
 from tracker.types import History
 
@@ -104,7 +105,7 @@ def warnings(history: History) -> list[str]:
             f"innovations are not white: correlation {next_step:+.2f} from step to step (chance: "
             f"{float(white.probability):.1g}): {hint}."
         )
-    return out + _approximated(history) + blind_spots(observability_of(history))
+    return out + silences(history) + _approximated(history) + blind_spots(observability_of(history))
 
 
 def _gone(history: History) -> list[str]:
