@@ -83,7 +83,7 @@ def _decision(row: Any) -> str:
 
 
 def _span(cost: list[float]) -> str:
-    low, high = (f"{v:.2g}" for v in (min(cost), max(cost)))
+    low, high = (f"{v:.2g}" if v < 100.0 else f"{v:.0f}" for v in (min(cost), max(cost)))
     return low if low == high else f"{low} to {high}"
 
 
@@ -122,7 +122,7 @@ def _with_interval(row: Any, column: str) -> str:
     if math.isinf(row["ratio"][0]):
         return f"lost in {row['lost']} of {row['runs']} runs"
     plain = re.sub(r"[.\d]+e\+0\d", lambda m: f"{float(m[0]):.0f}", row[column])
-    return plain.replace(" [", "<br>[")
+    return plain.replace(", ", ",&nbsp;").replace(" [", "<br>[")
 
 
 def _verb(meaning: str) -> str:
