@@ -165,7 +165,9 @@ def test_a_quick_page_shows_the_png_that_is_kept_beside_it():
 
     def draw():
         count.append(1)
-        return Figure(figsize=(1, 1))
+        figure = Figure(figsize=(3, 2))
+        figure.subplots().plot([0.0, 1.0], [1.0, 0.0])
+        return figure
 
     one = attrs.evolve(made(), pictures=(Picture("a", "title", "caption", "words", draw),))
     for quick, form in ((True, "png"), (False, "svg+xml")):
