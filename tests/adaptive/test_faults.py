@@ -17,6 +17,7 @@ STEPS, LANES = 200, 8
 WAYS = {
     "fuzzy_measurement_noise": {"adapter": "fuzzy_measurement_noise"},
     "fuzzy_process_noise": {"adapter": "fuzzy_process_noise"},
+    "neural_measurement_noise": {"adapter": "neural_measurement_noise"},
     "joint_noise": {"adapter": "joint_noise"},
     "innovation_matching": {"adapter": "innovation_matching"},
     "innovation_adaptive": {"adapter": "innovation_adaptive"},
@@ -28,15 +29,17 @@ WAYS = {
     "STF-UKF": {"filter": StrongTracking(inner="ukf")},
     "smooth_variable_structure": {"filter": "smooth_variable_structure"},
 }
-FAULTS = (
-    "none",
-    "dies",
-    "one component dies",
-    "sticks",
-    "noise doubles",
-    "bursts of NaN",
-    "an outlier in a hundred",
-)
+PLAIN = [name for name, parts in WAYS.items() if name == parts.get("adapter")]
+FAULTS = {
+    "none": "",
+    "dies": "all components: last measured at t=74.5538, 100 of 200 steps before the end",
+    "one component dies": "component '{}': last measured at t=74.5538, 100 of 200 steps before the end",
+    "sticks": "innovations are not white",
+    "noise doubles": "overconfident",
+    "bursts of NaN": "all components: not measured for 15 steps in a row (t=15.4714 to 25.3262)",
+    "an outlier in a hundred": "overconfident",
+}
+"""What a person is told of each, where nothing adapts."""
 
 
 def faulty(fault, z, spread, rng):
@@ -115,13 +118,58 @@ def test_a_failing_sensor_leaves_a_sound_track(way, fault, kind):
         assert np.sqrt((gap**2).sum(axis=1).mean()) < 60.0, "the track is lost"
 
 
+@pytest.mark.parametrize("kind", ["linear", "bearings"])
 @pytest.mark.parametrize("factor", [1e-4, 1e-2, 1e2, 1e4])
 @pytest.mark.parametrize("way", WAYS)
-def test_a_wrong_noise_leaves_a_sound_track(way, factor):
-    motion, sensor, record, prior, _ = problem("linear", "bursts of NaN", wrong=factor)
+def test_a_wrong_noise_leaves_a_sound_track(way, factor, kind):
+    motion, sensor, record, prior, _ = problem(kind, "bursts of NaN", wrong=factor)
     parts = dict(WAYS[way])
     est = tk.estimator(parts.pop("filter", "ekf1"), motion=motion, sensor=sensor, **parts)
     sound(tk.filter(est, record, prior))
+
+
+@pytest.mark.parametrize("fault", ["bursts of NaN", "an outlier in a hundred"])
+@pytest.mark.parametrize("rule", ["ukf", "ckf"])
+@pytest.mark.parametrize("adapter", PLAIN)
+def test_a_failing_sensor_leaves_a_sound_track_of_sigma_points(adapter, rule, fault):
+    motion, sensor, record, prior, _ = problem("bearings", fault, wrong=1e-2)
+    est = tk.estimator(rule, motion=motion, sensor=sensor, adapter=adapter)
+    sound(tk.filter(est, record, prior))
+
+
+def test_every_adapter_meets_every_fault():
+    assert sorted(PLAIN) == sorted(tk.adapters.names())
+
+
+@pytest.mark.parametrize("kind", ["linear", "bearings"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_person_is_told_of_every_fault(fault, kind):
+    motion, sensor, record, prior, _ = problem(kind, fault)
+    est = tk.estimator("ekf1", motion=motion, sensor=sensor)
+    told = tk.filter(est, record, prior).warnings()
+    if fault == "none":
+        assert told == []
+    else:
+        assert FAULTS[fault].format(sensor.space.names[0]) in " ".join(told)
+
+
+@pytest.mark.parametrize("way", [*PLAIN, "variational_bayes"])
+def test_a_person_is_told_of_a_silence_whatever_adapts(way):
+    """An adapter may explain noise away, but not that there is nothing."""
+    motion, sensor, record, prior, _ = problem("bearings", "one component dies")
+    parts = dict(WAYS[way])
+    est = tk.estimator(parts.pop("filter", "ekf1"), motion=motion, sensor=sensor, **parts)
+    told = tk.filter(est, record, prior).warnings()
+    assert FAULTS["one component dies"].format("azimuth_1") in " ".join(told)
+
+
+@pytest.mark.parametrize("kind", ["linear", "bearings"])
+@pytest.mark.parametrize("factor", [1e-4, 1e-2, 1e2, 1e4])
+def test_a_person_is_told_of_a_wrong_noise(factor, kind):
+    motion, sensor, record, prior, _ = problem(kind, "none", wrong=factor)
+    est = tk.estimator("ekf1", motion=motion, sensor=sensor)
+    told = tk.filter(est, record, prior).warnings()
+    assert told[0].startswith("overconfident" if factor < 1.0 else "underconfident")
 
 
 def test_a_person_is_told_of_a_noise_that_nobody_adapts():
