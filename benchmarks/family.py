@@ -37,6 +37,10 @@ from tracker_sensors import position
 FAMILY: dict[str, tuple[str, dict[str, Any], str | None]] = {
     "ekf1": ("ekf1", {}, None),
     "ekf1 + rts": ("ekf1", {}, "rts"),
+    "ekf1 + two_filter": ("ekf1", {}, "two_filter"),
+    "ekf1 + square_root_rts": ("ekf1", {}, "square_root_rts"),
+    "ekf1 + fixed_lag, 10 steps": ("ekf1", {}, "fixed_lag"),
+    "ekf1_joseph": ("ekf1_joseph", {}, None),
     "ekf2": ("ekf2", {}, None),
     "iekf": ("iekf", {}, None),
     "square_root": ("square_root", {}, None),
@@ -44,10 +48,16 @@ FAMILY: dict[str, tuple[str, dict[str, Any], str | None]] = {
     "ukf": ("ukf", {}, None),
     "ukf_symmetric": ("ukf_symmetric", {}, None),
     "ukf_general, kappa -1": ("ukf_general", {"kappa": -1.0}, None),
+    "ukf_spherical_simplex": ("ukf_spherical_simplex", {}, None),
+    "ukf_minimal_simplex": ("ukf_minimal_simplex", {}, None),
     "ukf + rts": ("ukf", {}, "rts"),
+    "ukf + sigma_point_rts": ("ukf", {}, "sigma_point_rts"),
     "ukf_square_root": ("ukf_square_root", {}, None),
+    "ckf": ("ckf", {}, None),
     "ckf5": ("ckf5", {}, None),
     "ghkf": ("ghkf", {}, None),
+    "iplf, 3 iterations": ("iplf", {"iterations": 3}, None),
+    "schmidt, velocity considered": ("schmidt", {"considered": ["vx", "vy"]}, None),
     "huber": ("huber", {}, None),
     "student_t": ("student_t", {}, None),
 }
@@ -62,6 +72,7 @@ DYNAMAX_UKF = 25.0
 THEIRS = {
     "filterpy ekf": "ekf1",
     "filterpy ukf": "ukf",
+    "filterpy kf + rts, positions": "kf + rts, positions",
     "filterpy imm, positions": "imm, positions",
     "Stone Soup ekf": "ekf1",
     "Stone Soup ukf": "ukf",
@@ -91,8 +102,13 @@ def family() -> None:
     works["imm of three models"] = _scored(
         tk.estimator("imm", motion=motion, sensor=scene.sensor), simulation
     )
+    works["imm of three models + imm_smoother"] = _scored(
+        tk.estimator("imm", motion=motion, sensor=scene.sensor, smoother="imm_smoother"), simulation
+    )
     theirs, counts = _peers(scene, simulation)
     works["imm, positions"], more = _positions(motion)
+    works["kf + rts, positions"], smoothed = _smoothed_positions()
+    more |= smoothed
     theirs |= more
     counts |= dict.fromkeys(more, STEPS)
     per = dict.fromkeys(works, RUNS * STEPS)
@@ -121,7 +137,7 @@ def _times(seconds: Any, slow: str, fast: str) -> float:
 
 
 def _scored(estimator: Any, simulation: Any) -> Callable[[], Any]:
-    why = run.reason(estimator)
+    why = run.reason(estimator) or (estimator.smoother and run.why_not_backwards(estimator))
     if why:
         raise SystemExit(f"{type(estimator.filter).__name__} runs on arrays: {why}")
     given = (simulation.record, simulation.prior, simulation.start, simulation.truth)
@@ -170,8 +186,7 @@ def _peers(scene: Any, simulation: Any) -> tuple[dict[str, Callable[[], Any]], d
     return works, counts
 
 
-def _positions(motion: Any) -> tuple[Callable[[], Any], dict[str, Callable[[], Any]]]:
-    """Interacting models on measured positions, which filterpy has too."""
+def _measured_positions(motion: Any) -> tuple[tk.Scenario, Any]:
     scene = tk.Scenario(
         name="positions",
         motion=motion,
@@ -180,7 +195,28 @@ def _positions(motion: Any) -> tuple[Callable[[], Any], dict[str, Callable[[], A
         prior=tk.Gaussian([0.0, 0.0, 1.0, 0.0], np.diag([0.1, 0.1, 1.0, 1.0])),
         t=PROBLEM["dt"] * np.arange(1, STEPS + 1),
     )
-    simulation = scene.simulate(SEED, RUNS)
+    return scene, scene.simulate(SEED, RUNS)
+
+
+def _smoothed_positions() -> tuple[Callable[[], Any], dict[str, Callable[[], Any]]]:
+    """Filter and smoother on measured positions; filterpy's smoother is one of linear problems."""
+    scene, simulation = _measured_positions(constant_velocity(0.1))
+    estimator = tk.estimator("kf", motion=scene.motion, sensor=scene.sensor, smoother="rts")
+    z, mean, cov = one_run(simulation)
+    problem = {"dt": PROBLEM["dt"], "density": 0.1, "sigma": 0.1}
+    label = "filterpy kf + rts, positions"
+    made = optional(label, lambda: peers.filterpy_smoother(z, mean, cov, **problem))
+    if made is None:
+        return _scored(estimator, simulation), {}
+    record, prior = tk.Record(simulation.record.t, z), tk.Gaussian(mean, cov)
+    ours = tk.smooth(estimator, record, prior, start=simulation.start).smoothed
+    agreed(label, ours.mean, made[1]())
+    return _scored(estimator, simulation), {label: made[1]}
+
+
+def _positions(motion: Any) -> tuple[Callable[[], Any], dict[str, Callable[[], Any]]]:
+    """Interacting models on measured positions, which filterpy has too."""
+    scene, simulation = _measured_positions(motion)
     estimator = tk.estimator("imm", motion=motion, sensor=scene.sensor)
     z, mean, cov = one_run(simulation)
     problem = {"densities": DENSITIES, "transition_matrix": SWITCHING, "sigma": 0.1}
