@@ -269,7 +269,7 @@ def stronger(
             "signed-rank test with Holm's correction at 5 %.",
             f"{runs} fresh, dealt to {restarts} restarts",
             votes,
-            f"Median difference to ICA. {said.capitalize()}; {fuzzy.evaluations} evaluations of each restart.",
+            f"Median difference to ICA in {said}; {fuzzy.evaluations} evaluations of each restart.",
         ),
         found,
     )
