@@ -78,6 +78,9 @@ class TwoFilterSmoother:
     filter used: it is right after adapted or per-lane noise, and after any Gaussian filter. No
     covariance of the backward filter, which need not exist, is ever formed.
 
+    Roots are taken of the covariances that a history holds: digits that only the root of a filter such as
+    "square_root" held are lost here, as in `rts`, and nothing says so.
+
     In exact arithmetic it equals `rts`, except after a measurement without any noise. Choose it to
     see what past and future say apart, or to join two filters that ran at different places.
 
