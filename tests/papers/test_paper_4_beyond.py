@@ -79,6 +79,7 @@ def test_stronger_optimisers_are_judged_by_cost_and_by_fresh_runs(linear):
         whole[:, 4], one[:, 0], rtol=1e-9
     )  # run 4 is dealt to restart 1 of 3
     assert "9 fresh" in study.runs
+    assert study.found.startswith("Median difference to ICA in cost: DE ")
 
 
 def test_targets_are_lanes_of_one_call():
