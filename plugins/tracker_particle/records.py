@@ -27,8 +27,8 @@ from tracker_particle.belief import Particles, effective_sample_size
 from tracker_particle.propagation import factored, least_size
 from tracker_particle.resampling import SYSTEMATIC, Scheme
 
-_DOUBLE = np.dtype(np.float64)
-_BYTES = 8
+AT_ONCE = 2**25
+"""Steps times particles in one call, about a second: an interruption by the user is heard between calls."""
 
 
 @attrs.frozen(eq=False)
@@ -286,7 +286,7 @@ class _Loop:
         )  # fmt: skip
         choose = kernels.choosing().machine.address if rule.scheme == SYSTEMATIC else 0
         made.put(
-            last=steps, count=count, N=full, n=n, more=more, pace=passes.pace, scratch=_address(scratch),
+            count=count, N=full, n=n, more=more, pace=passes.pace, scratch=_address(scratch),
             ahead=passes.ahead[0].machine.address, sensors=_address(table), which=_address(own),
             measured=_address(measured), choose=choose, enough=least_size(rule.threshold, count),
             least=kernels.TINY,
@@ -321,13 +321,14 @@ class _Loop:
             "points": places[0], "points.spare": places[1], "weights.spare": places[4],
         })  # fmt: skip
         self._begin(state, _size(state))
-        here = _address(self.numbers)
-        while True:
-            before = self.got("first")
+        here, some = _address(self.numbers), max(1, AT_ONCE // self.got("N"))
+        while (before := self.got("first")) < len(self.record):
+            self.put(last=min(before + some, len(self.record)))
             call(here)
             why, k = self.got("stopped"), self.got("first")
             if why == machine.DONE:
-                return
+                state = self._state(state, k) if k < len(self.record) else state
+                continue
             if k > before:
                 state = self._state(state, k)
             if why == machine.DUE:

@@ -166,5 +166,5 @@ def test_what_it_needs_is_said_in_words() -> None:
     past = kalman(models, record, prior)
     with pytest.raises(CapabilityError, match="without beliefs"):
         BackwardSimulation().smooth(past, models["motion"])
-    with pytest.raises(CapabilityError, match="MarginalisedParticles"):
+    with pytest.raises(CapabilityError, match="MarginalisedFilter"):
         smoothed(MarginalisedFilter(particles=8), BackwardSimulation(), (models, record, prior))

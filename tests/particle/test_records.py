@@ -123,6 +123,21 @@ def test_a_record_is_its_steps(name: str) -> None:
 
 
 @every
+def test_calls_of_few_steps_change_no_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    models, record, prior = linear(steps=20)
+    estimator, histories = tk.estimator(RULES[name], **models), []
+    for most in (records.AT_ONCE, 600, 1):
+        monkeypatch.setattr(records, "AT_ONCE", most)
+        rng = np.random.default_rng(3)
+        histories.append(numbers(tk.filter(estimator, record, prior, start=0.0, rng=rng)))
+    for some in histories[1:]:
+        for key, values in some.items():
+            assert np.array_equal(values, histories[0][key], equal_nan=values.dtype.kind == "f"), (
+                key
+            )
+
+
+@every
 def test_a_record_of_lanes_is_their_steps(name: str) -> None:
     rule = RULES[name]
     models, record, prior = linear(steps=12, batch=(2, 3))
