@@ -172,7 +172,6 @@ def test_a_campaign_scores_the_same_compiled_and_on_arrays(monkeypatch):
         (GaussianSumFilter(components=MOST + 1), f"{MOST + 1} members are too many to unroll"),
         (RangeParameterised(), f"32 members are too many to unroll .at most {MOST}"),
         (GaussianSumFilter(components=3, merge=0.1), "comparing all pairs"),
-        (GaussianSumFilter("bootstrap", components=2), "draws random numbers"),
     ],
 )
 def test_what_cannot_be_compiled_says_why(monkeypatch, rule, why):
