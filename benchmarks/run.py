@@ -23,6 +23,7 @@ import environment
 if __name__ == "__main__" and "--here" not in sys.argv:
     environment.enter()
 
+import banks
 import common
 import family
 import handwritten
@@ -295,6 +296,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "targets": targets.targets,
     "tuning": tuning.tuning,
     "family": family.family,
+    "banks": banks.banks,
     "particles": particles.particles,
     "optimisers": optimisers.optimisers,
     "sweeps": sweeps.sweeps,
