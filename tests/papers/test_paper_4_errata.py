@@ -224,7 +224,9 @@ def test_section_3_4_refers_to_equations_whose_digits_became_one_sign():
 
 def test_eq_3_13_and_3_19_are_used_twice_by_the_thesis_and_not_by_its_font():
     merged = {seen for seen in CHAPTER_3 if len(readings(seen)) > 1}
-    assert merged == {"1", "11", "21"}, "numbers that the font alone would give to several equations"
+    assert merged == {"1", "11", "21"}, (
+        "numbers that the font alone would give to several equations"
+    )
     assert readings("13") == {"13"}
     assert readings("19") == {"19"}
 
