@@ -12,7 +12,7 @@ import tracker as tk
 from tracker.metrics.consistency import Interval
 from tracker.metrics.errors import error, squared_position_error
 from tracker.metrics.resampling import ratio_of_medians
-from tracker.reproduction import Table, judged, within
+from tracker.reproduction import Table, within
 from tracker.types import Array, Gaussian, Record
 from tracker_papers.flying_object import TOLD_R, flying_object, sensor
 from tracker_papers.paper4 import methods
@@ -71,10 +71,13 @@ class Study:
 
     @property
     def verdict(self) -> str:
-        """In one word."""
-        return {"confirmed": "yes", "refuted": "no", "undecided": "in part, or not to be told"}[
-            judged(self.votes.values())
-        ]
+        """In a word or three: a study asks where something pays, so it may do so in part."""
+        cast = list(self.votes.values())
+        if all(vote is True for vote in cast):
+            return "yes"
+        if any(vote is False for vote in cast):
+            return "in part" if True in cast else "no"
+        return "not to be told"
 
 
 @attrs.frozen(eq=False)
