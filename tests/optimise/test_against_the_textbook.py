@@ -80,7 +80,8 @@ def test_one_point_crossover_swaps_the_tails_and_reproduction_copies() -> None:
     rng = np.random.default_rng(6)
     first, second = rng.uniform(size=(2, 5, 300, 1))
     cross, cut = rng.uniform(size=(2, 300, 1))
-    children = Genetic(crossover_rate=0.7)._crossed(first, second, cross, cut)
+    parents = np.concatenate([first, second], axis=1)
+    children = Genetic(crossover_rate=0.7)._crossed(parents, cross, cut)
     cuts = []
     for k in range(300):
         one, two, a, b = (
@@ -139,7 +140,7 @@ def test_blended_and_arithmetic_children_lie_where_they_must() -> None:
         first, second = np.random.default_rng(2).uniform(0.4, 0.6, (2, 3, 500, 1))
         cross, mix = np.zeros((500, 1)), np.random.default_rng(4).uniform(size=(3000, 1))
         mix = mix if crossover == "blend" else mix[:500]
-        both = optimiser._crossed(first, second, cross, mix)
+        both = optimiser._crossed(np.concatenate([first, second], axis=1), cross, mix)
         gap = np.abs(second - first) * beyond
         low = np.tile(np.minimum(first, second) - gap, (1, 2, 1))
         high = np.tile(np.maximum(first, second) + gap, (1, 2, 1))
