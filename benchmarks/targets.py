@@ -23,6 +23,7 @@ from common import (
     MICRO,
     NANO,
     PROBLEM,
+    REFERENCE_US,
     RUNS,
     SEED,
     STATIONS,
@@ -260,16 +261,21 @@ def on_line() -> list[Verdict]:
     report(seconds, per, MICRO, "us a step")
     if peer is None:
         return []
-    # Targets are for the machine on which filterpy takes 22.3 us.
     scaled = {
-        label: 22.3
+        label: REFERENCE_US
         * measure.ratio(seconds[label], seconds["filterpy, one track"])
         * STEPS
         / per[label]
         for label in (one, many)
     }
     return [
-        Verdict(f"{one}, where filterpy takes 22.3 us", scaled[one], 5, at_least=False, unit="us"),
+        Verdict(
+            f"{one}, where filterpy takes {REFERENCE_US} us",
+            scaled[one],
+            5,
+            at_least=False,
+            unit="us",
+        ),
         Verdict(f"{many}, likewise", scaled[many], 25, at_least=False, unit="us"),
     ]
 
